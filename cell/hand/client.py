@@ -42,6 +42,9 @@ T = TypeVar("T")
 
 _BOOT_S = 60.0
 """Longest time in s until a process has loaded its libraries and opened both ports."""
+_SILENCE_S = 5.0
+"""Longest time in s without a message of the process while the loop runs. Commands without the loop
+may take longer, up to the config's time-outs."""
 _END_S = 5.0
 """Longest time in s for a process to end before it is killed."""
 
@@ -212,9 +215,6 @@ class HandProcess:
         The cell; its ports are real.
     partial
         As `cell.hand.build.open_hand`.
-    silence_s
-        Longest time in s without a message of the process while the loop runs. Commands without
-        the loop may take longer, up to the config's time-outs.
 
     Raises
     ------
@@ -223,16 +223,14 @@ class HandProcess:
 
     own_process = True
 
-    def __init__(
-        self, config: CellConfig, *, partial: bool = False, silence_s: float = 5.0
-    ) -> None:
+    def __init__(self, config: CellConfig, *, partial: bool = False) -> None:
         self._config = config
         self.layout = layout_from_config(config.tactile)
         self.period_s = 1.0 / config.gripper.loop_rate_hz
         self._settings = config.gripper_settings
         self._linkage = config.linkage
-        self._silence_s = silence_s
-        self._answer_s = 2.0 * silence_s + 4.0 * config.tactile.startup_timeout_s
+        self._silence_s = _SILENCE_S
+        self._answer_s = 2.0 * _SILENCE_S + 4.0 * config.tactile.startup_timeout_s
         self._number = 0
         self._phase = GripperPhase.OFF
         self._loop = LoopProcess(config, partial=partial)

@@ -24,37 +24,32 @@ def enter_real_time(config: LoopConfig) -> tuple[str, ...]:
     the remedy.
     """
     threading.stack_size(_STACK_BYTES)
-    asked: list[tuple[Callable[[], None], str, str]] = []
-    if config.cpu is not None:
-        asked.append(
-            (
-                lambda: os.sched_setaffinity(0, {config.cpu or 0}),
-                f"the force loop was not bound to processor {config.cpu}",
-                "correct loop.cpu",
-            )
-        )
-    if config.lock_memory:
-        asked.append(
-            (
-                lock_memory,
-                "the memory of the force loop is not locked, paging may delay it",
-                "raise `ulimit -l` (limits.conf: memlock)",
-            )
-        )
-    if config.priority:
-        asked.append(
-            (
-                lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(config.priority)),
-                "the force loop runs without real-time priority, other programs may delay it",
-                "raise `ulimit -r` (limits.conf: rtprio)",
-            )
-        )
+    settings: tuple[tuple[bool, Callable[[], None], str], ...] = (
+        (
+            config.cpu is not None,
+            lambda: os.sched_setaffinity(0, {config.cpu or 0}),
+            f"the force loop was not bound to processor {config.cpu} ({{}}): correct loop.cpu",
+        ),
+        (
+            config.lock_memory,
+            lock_memory,
+            "the memory of the force loop is not locked, paging may delay it ({}): raise "
+            "`ulimit -l` (limits.conf: memlock)",
+        ),
+        (
+            config.priority > 0,
+            lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(config.priority)),
+            "the force loop runs without real-time priority, other programs may delay it ({}): "
+            "raise `ulimit -r` (limits.conf: rtprio)",
+        ),
+    )
     notes = []
-    for ask, meaning, remedy in asked:
+    for wanted, ask, refused in settings:
         try:
-            ask()
+            if wanted:
+                ask()
         except OSError as error:
-            notes.append(f"{meaning} ({error.strerror}): {remedy}")
+            notes.append(refused.format(error.strerror))
     return tuple(notes)
 
 

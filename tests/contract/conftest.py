@@ -41,7 +41,7 @@ from tactile.can.bus import CanBus, close_bus
 from tactile.control_unit.node import TactileLink
 from tactile.control_unit.settings import LinkSettings
 from tactile.source import TactileFrame
-from tests.faults.scenarios import CHANGES
+from tests.faults.campaign import CHANGES
 
 ANSWER_S = 0.05
 BOOT_S = 3.0

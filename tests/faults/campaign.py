@@ -1,24 +1,47 @@
-"""A row of the fault campaign, the simulated cell that it runs on, and what was observed."""
+"""Rows of the fault campaign: the simulated cell that they run on, and what was observed."""
 
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
+import numpy as np
+
+from benchmarks.performance.force_cap import trial
 from cell.build import build_cell
-from cell.config.file import changed_config
+from cell.config.file import changed_config, parse_config
 from cell.config.model import CellConfig
-from cell.control.plan import Pose
+from cell.control.plan import GraspStep, Pose
+from cell.control.records import GraspCollector, GraspRecord
 from cell.control.states import CellState
-from cell.errors import CellError
+from cell.errors import CellError, CellStateError, NoPartFound
 from cell.fault_catalogue import BY_NUMBER
+from cell.interfaces.cli.session import running_cell
+from cell.recording.reader import read_recording
+from cell.runtime.goals import TeachGoal
+from cell.runtime.plugin import TactileCellPlugin
+from cell.runtime.worker import JobFailed
 from gripper.errors import GripperError, fingers_left
+from gripper.values.state import GripperPhase
+from pytest_tactile_cell.process import CellProcess
 from pytest_tactile_cell.virtual import VirtualCell
+from simulator.can.drive import SimulatedDrive
 from tactile.errors import TactileError
 from tests.cell.conftest import COARSE_PADS, Bench, once
 from tests.faults.invariants import InvariantMonitor
+from tests.hil.program import CONFIG, SEQUENCE, child_of, ended, first
+from tests.waiting import LIMIT_S, until
 
 JOB_BOUND_S = 60.0
 """Every job has to be over within so many s of simulated time; the longest takes 15 s."""
@@ -314,3 +337,495 @@ def take_steps(cell: VirtualCell, number: int) -> None:
             case "reset":
                 controller.life.reset()
                 controller.start()
+
+
+# -- Faults that need more than a grasp with a fault of the vocabulary -----------------------------
+
+
+# -- Axes that carry the part: the motion stops, the grip is not touched ---------------------------
+
+X_AXIS = {
+    "kind": "cia402", "moves": "x", "node_id": 11, "increments": 1000.0, "low": -6.0,
+    "high": 6.0, "homing": "negative_switch", "home": -7.0, "homing_velocity": 20.0,
+}  # fmt: skip
+ROTATION_AXIS = {
+    "kind": "cia402", "moves": "rotation", "node_id": 12, "increments": 100.0, "low": -10.0,
+    "high": 100.0, "homing": "here", "home": 0.0, "velocity": 45.0,
+}  # fmt: skip
+WRIST = {"kind": "dynamixel", "moves": "roll", "zero_pulse": 1024, "low": -10.0, "high": 100.0}
+CHANGES: dict[str, Any] = {
+    "positioner": {"kind": "axes", "axes": [X_AXIS, ROTATION_AXIS, WRIST]},
+    "sequence.y_mm": [0.0, 0.0],
+    "sequence.rotation_deg": [0.0, 90.0],
+    "sequence.roll_deg": [0.0, 90.0],
+}
+"""A cell with axis 1, a drive along x, axis 2, a drive that turns, and axis 3, a wrist."""
+STOPPED_S = 0.6
+"""So long after the fault all axes that can be stopped have to stand."""
+STEP = GraspStep(pose=Pose(x_m=2e-3, rotation_rad=0.5, roll_rad=0.5), force_n=3.0)
+
+
+def axis_fails(row: FaultRow) -> Observed:
+    """Inject while the axes move to the second pose; then take the steps of the fault.
+
+    It is detected when another drive than that of the axis that fails is in its quick stop.
+    """
+    with campaign_cell(CHANGES | dict(row.changes)) as cell:
+        cell.start()
+        cell.grasp()
+        axes = cell.simulated.devices.axes
+        drives = [axis for axis in axes.values() if isinstance(axis, SimulatedDrive)]
+        failing = list(axes.values())[int(row.injected[len("axis")]) - 1]
+        began_s = once(
+            cell.clock,
+            lambda: all(axis.moving for axis in axes.values()),
+            lambda: cell.simulated.inject(row.injected),
+        )
+
+        def stopped() -> bool:
+            others = [drive for drive in drives if drive is not failing]
+            return any(drive.state == "QUICK STOP ACTIVE" for drive in others)
+
+        with cell.first_time(stopped) as known_s:
+            observed = observe(cell, job=lambda one: one.controller.grasp(STEP))
+        cell.simulated.clock.sleep(STOPPED_S)
+        silent = [drive for drive in drives if drive.dead]
+        if any(axis.moving for axis in axes.values() if axis not in silent):
+            return replace(observed, reaction="MOVES")
+        cell.simulated.injector.clear_all()
+        seen = replace(observed, detected_after_s=known_s[0] - began_s[0])
+        return recovered(cell, row, seen, partial(cell.controller.grasp, STEP))
+
+
+def drive_fails_in_a_hold(row: FaultRow) -> Observed:
+    """Inject while the part is held: the grip is kept, and the next motion refuses."""
+    with campaign_cell(CHANGES | dict(row.changes)) as cell:
+        observed = observe(cell, row.injected)
+        if observed.reaction != "NOTHING":
+            return observed
+        refused = observe(cell, job=lambda one: one.controller.grasp(STEP))
+        return recovered(cell, row, refused, partial(cell.controller.grasp, STEP))
+
+
+# -- The CAN link and the control unit -------------------------------------------------------------
+
+
+_SYNC_ID = 0x80
+"""COB-ID of SYNC, CiA 301."""
+_TOUCH_N = 0.02
+"""Force in N on both pads that is a contact, as in the simulator."""
+
+
+def sets_lost(row: FaultRow, *, lost: Callable[[int], bool], crossing: int) -> Observed:
+    """Lose one message of some sets, by the numbers of their SYNCs from 0.
+
+    Time counts from the loss ``crossing``, from 1: the one too many.
+    """
+    lost_s: list[float] = []
+
+    def lose(number: int) -> None:
+        if lost(number):
+            cell.simulated.inject("can.lose_next=1")
+            lost_s.append(cell.now_s)
+
+    with campaign_cell(row.changes) as cell:
+        observed = observe(cell, lambda: _on_sync(cell, lose))
+        timed = _since(cell, observed, lost_s[crossing - 1])
+    first_s = 1e3 * (lost_s[crossing - 1] - lost_s[0])
+    if crossing == 1:
+        return timed
+    return replace(timed, outcome=f"{timed.outcome} (first loss {first_s:.0f} ms before)")
+
+
+def adapter_comes_back(row: FaultRow) -> Observed:
+    """Pull the adapter out for a moment; back again, the cell must not go on but by a person."""
+    with campaign_cell(row.changes) as cell:
+        observed = observe(cell, row.injected)
+        state = cell.controller.life.state
+        cell.simulated.clock.sleep(1.0)
+        cell.controller.life.tick()
+        if cell.controller.life.state is not state:
+            return replace(observed, reaction=f"went from {state} to {cell.controller.life.state}")
+        return recovered(cell, row, observed, cell.grasp)
+
+
+def drifts_between_grasps(row: FaultRow) -> Observed:
+    """Inject while the cell is started and waits, then grasp."""
+
+    def job(cell: CampaignCell) -> None:
+        cell.idle(0.2)
+        cell.grasp()
+
+    with campaign_cell(row.changes) as cell:
+        cell.start()
+        return observe(cell, row.injected.partition(" ")[0], job)
+
+
+def _on_sync(cell: CampaignCell, act: Callable[[int], None], *, after: int = 5) -> None:
+    """Call ``act`` just before each SYNC reaches the unit, once both pads touch.
+
+    It gets the number of the SYNC, from 0; the first ``after`` of them are left out, so that the
+    contact itself is over.
+    """
+    seen = [-after]
+
+    def look(_t_s: float, can_id: int, _data: bytes) -> None:
+        if can_id == _SYNC_ID and (seen[0] > -after or cell.grip_n > _TOUCH_N):
+            if seen[0] >= 0:
+                act(seen[0])
+            seen[0] += 1
+
+    cell.simulated.can_bus.capture.append(look)
+
+
+def _since(cell: CampaignCell, observed: Observed, began_s: float | None) -> Observed:
+    """Return the same with the time counted from ``began_s``."""
+    monitor = cell.monitor
+    known_s = monitor.latched_s if monitor.latched_s is not None else monitor.noted_s
+    if known_s is None or began_s is None:
+        return observed
+    return replace(observed, detected_after_s=max(0.0, known_s - began_s))
+
+
+# -- The host program: a slow loop, errors in its code, the wall clock -----------------------------
+
+
+_RATE_N_S = 10.0
+"""Rate of the campaign's ramp."""
+_BEYOND_N = 0.5
+"""Force beyond its set-point that a gripper may have when its loop stands still."""
+
+
+class _HeldUp:
+    """Holds up the force loop in the ramp, and looks whether it catches up afterwards."""
+
+    def __init__(self, cell: CampaignCell, stall_s: float, times: int) -> None:
+        self._cell = cell
+        self._stall_s = stall_s
+        self._left = times
+        self._late = 0
+        self._setpoint_n = 0.0
+        self._add = GraspCollector.add
+        self.ended_s: float | None = None
+        self.began_s: float | None = None
+        self.noted_s: float | None = None
+        self.worst_step_n = self.worst_beyond_n = 0.0
+
+    def add(self, collector: GraspCollector, cycle: Any, frames: Any) -> None:
+        self._add(collector, cycle, frames)
+        if self._setpoint_n > 0.0:
+            self.worst_step_n = max(self.worst_step_n, cycle.setpoint_n - self._setpoint_n)
+        self._setpoint_n = cycle.setpoint_n
+        late = self._cell.controller.hand.statistics.loop.late
+        if self.began_s is not None and self.noted_s is None and late > self._late:
+            self.noted_s = self._cell.now_s
+        if cycle.setpoint_n > 2.0 and self._left:
+            if self.began_s is None:
+                self.began_s, self._late = self._cell.now_s, late
+            self._left -= 1
+            self._cell.simulated.clock.sleep(self._stall_s)
+            force_n = max(self._cell.simulated.world.contact_force_n())
+            self.worst_beyond_n = max(self.worst_beyond_n, force_n - cycle.setpoint_n)
+            self.ended_s = self.ended_s or self._cell.now_s
+
+
+def loop_held_up(row: FaultRow, *, stall_s: float, times: int = 1) -> Observed:
+    """Hold up the force loop of a grasp for so long, in so many periods in a row."""
+    with campaign_cell(row.changes) as cell:
+        held_up = _HeldUp(cell, stall_s, times)
+
+        def add(collector: GraspCollector, cycle: Any, frames: Any) -> None:
+            held_up.add(collector, cycle, frames)
+
+        with mock.patch.object(GraspCollector, "add", add):
+            seen = observe(cell)
+        assert held_up.began_s is not None
+        assert held_up.ended_s is not None
+        if held_up.worst_step_n > _RATE_N_S * 2.0 * cell.controller.hand.period_s + 1e-9:
+            jump = f"the set-point jumped by {held_up.worst_step_n:.2f} N"
+            return Observed("CATCHES UP", None, jump)
+        if held_up.worst_beyond_n > _BEYOND_N:
+            beyond = f"the force rose to {held_up.worst_beyond_n:.2f} N beyond the set-point"
+            return Observed("RAMP GOES ON", None, beyond)
+        step = f"largest step of the set-point {held_up.worst_step_n:.2f} N"
+        if seen.reaction == "NOTHING" and held_up.noted_s is not None:
+            after_s = held_up.noted_s - held_up.ended_s
+            return Observed("NOTE", after_s, f"counted as late; {step}; {seen.outcome}")
+        latched_s = cell.monitor.latched_s
+        after_s = None if latched_s is None else latched_s - held_up.began_s
+        return Observed(seen.reaction, after_s, f"{seen.outcome}; {step}")
+
+
+def error_in_the_loop(row: FaultRow) -> Observed:
+    """Let what collects the periods of the loop raise in the ramp."""
+
+    def broken(_collector: GraspCollector, cycle: Any, _frames: Any) -> None:
+        if cycle.setpoint_n > 1.0:
+            raise RuntimeError("sink broken")
+
+    def job(cell: CampaignCell) -> None:
+        cell.start()
+        try:
+            cell.grasp()
+        except RuntimeError as error:
+            raise CellStateError(str(error)) from error
+
+    with campaign_cell(row.changes) as cell, mock.patch.object(GraspCollector, "add", broken):
+        seen = observe(cell, job=job)
+        after_s = None if cell.monitor.latched_s is None else 0.0
+        return Observed(seen.reaction if cell.grip_n > 0.2 else "LOST", after_s, seen.outcome)
+
+
+def error_in_the_mover(row: FaultRow) -> Observed:
+    """Teach through the plugin with a robot whose driver raises."""
+
+    def broken(_pose: Pose) -> None:
+        raise ZeroDivisionError("robot driver")
+
+    with TactileCellPlugin(campaign_config(row.changes), mover=broken) as plugin:
+        job = plugin.start(TeachGoal(label="ball", grasps=3))
+        try:
+            plugin.result(job, 30.0)
+            end = "it was taught"
+        except JobFailed as error:
+            end = str(error)
+        status = plugin.status()
+        latched = status.state == CellState.ABORTED and status.fault is not None
+        return Observed(
+            "HOLD" if latched else "NOTHING",
+            0.0,
+            f"{end}; {status.state}, the fingers are open and empty",
+        )
+
+
+def wall_clock_jumps(_row: FaultRow, *, step_s: float) -> Observed:
+    """Grasp without and with a jump of the wall clock in the ramp, and compare all values."""
+    before, before_s = _grasp_with_clock(0.0)
+    jumped, jumped_s = _grasp_with_clock(step_s)
+    same = (
+        np.array_equal(before.grasp.counts, jumped.grasp.counts)
+        and before.cycles == jumped.cycles
+        and before_s == jumped_s
+    )
+    return Observed(
+        "NOTHING" if same else "DIFFERENT",
+        None,
+        "each frame and each period of the loop is the same as without the jump; the recording "
+        "has both clocks at its start and at each change of state",
+    )
+
+
+@cache
+def _grasp_with_clock(step_s: float) -> tuple[GraspRecord, float]:
+    """Return a grasp during which the wall clock jumps, and how long it took in s."""
+    offset_s = [0.0]
+    now, now_ns = time.time, time.time_ns
+
+    def jumping_s() -> float:
+        return now() + offset_s[0]
+
+    def jumping_ns() -> int:
+        return now_ns() + int(offset_s[0] * 1e9)
+
+    with (
+        mock.patch("time.time", jumping_s),
+        mock.patch("time.time_ns", jumping_ns),
+        campaign_cell() as cell,
+    ):
+        jumped = cell.once_in(
+            GripperPhase.RAMPING, lambda: offset_s.__setitem__(0, step_s), after_s=0.1
+        )
+        cell.start()
+        record = cell.grasp()
+        assert jumped
+        return record, cell.now_s
+
+
+# -- The process that commands a cell: signals, and its end by an error ----------------------------
+
+
+_GRIPPED_N = 1.0
+"""Force in N at which a part counts as gripped."""
+_KEPT_N = 0.6
+"""Force in N with which a part counts as still held."""
+_HOST = f"""
+import sys
+from {TactileCellPlugin.__module__} import TactileCellPlugin
+plugin = TactileCellPlugin(sys.argv[1])
+plugin.start(dict(task="teach", label="box", grasps=50))
+sys.stdin.readline()
+raise RuntimeError("the host's own error")
+"""
+"""A host program that ends by an error of its own while a job runs, and closes nothing. Its main
+module, which stands without `if __name__ == "__main__"`, is not run in the process of the loop."""
+
+
+def signal_in_the_ramp(row: FaultRow) -> Observed:
+    """Send this process the signal of the row while a command presses a part, in virtual time."""
+    with tempfile.TemporaryDirectory() as name, _hangup_not_ignored():
+        sent_s: list[float] = []
+        try:
+            config = campaign_config(row.changes)
+            with running_cell(
+                *(config, "run", Path(name)), config_file=None, json_file=None
+            ) as cell:
+                simulated = cell.plugin.cell.simulated
+                heard = threading.Event()
+                interrupt = cell.plugin.cell.controller.life.cancel
+
+                def cancel(*reason: str) -> None:
+                    interrupt(*reason)
+                    heard.set()
+
+                cell.plugin.cell.controller.life.cancel = cancel  # type: ignore[method-assign]
+
+                def send() -> None:
+                    os.kill(os.getpid(), signal.Signals[row.variant])
+                    # The main thread takes the signal; virtual time waits for it.
+                    heard.wait(10.0)
+
+                sent_s = once(
+                    simulated.clock,
+                    lambda: min(simulated.world.contact_force_n()) > _GRIPPED_N,
+                    send,
+                )
+                cell.run(TeachGoal(label="ball", grasps=1, train=False))
+        except CellError as error:
+            message = str(error).partition(" Recording so far")[0]
+            recording = read_recording(next(Path(name).glob("*/recording.mcap")))
+            held = [event for event in recording.events if event["kind"] == "held"]
+            grip_n = min(simulated.world.contact_force_n())
+            whole = recording.complete and held and grip_n > _KEPT_N
+            return Observed(
+                "HOLD" if whole else "LOST",
+                held[0]["t_s"] - sent_s[0] if held else None,
+                f"{message} ({grip_n:.1f} N); the recording is closed, exit code 1",
+            )
+    return Observed("NOTHING", None, "it went on")
+
+
+@contextlib.contextmanager
+def _hangup_not_ignored() -> Iterator[None]:
+    """Take SIGHUP as a program in a terminal does, also where these tests ignore it."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def host_ends_by_an_error(_row: FaultRow) -> Observed:
+    """End a host program; the process of its force loop is left, and ends by itself.
+
+    Host and simulated cell are processes, in real time.
+    """
+    with contextlib.ExitStack() as undo:
+        cell = CellProcess(parse_config(CONFIG + SEQUENCE, source="campaign"))
+        undo.callback(cell.end)
+        first(cell.pid)
+        program = Path(undo.enter_context(tempfile.TemporaryDirectory()), "host.py")
+        program.write_text(_HOST)
+        command = [sys.executable, "-P", str(program), str(cell.config_path)]
+        pipes = {"stdin": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+        host = undo.enter_context(subprocess.Popen(command, **pipes))
+        undo.callback(host.kill)
+        cell.wait_for_grip(_GRIPPED_N, timeout_s=LIMIT_S)
+        loop = child_of(host.pid)
+        os.kill(loop, signal.SIGINT)  # the business of the program, as Ctrl-C goes to both
+        threading.Event().wait(0.1)
+        if ended(loop):
+            return Observed("LOST", None, "the process of the force loop ends by SIGINT")
+        host.communicate(timeout=LIMIT_S)
+        began_s = time.monotonic()
+        until(lambda: ended(loop))
+        after_s, grip_n = time.monotonic() - began_s, cell.grip_n()
+        return Observed(
+            "HOLD" if grip_n > _KEPT_N else "LOST",
+            after_s,
+            "nothing was closed; the process of the force loop freezes the goals and ends; the "
+            f"grip is kept ({grip_n:.1f} N)",
+        )
+
+
+# -- Servos and part -------------------------------------------------------------------------------
+
+
+CAP_N = 5.0
+"""Cap of the force in N in the rows of something trapped: below the default, soon reached."""
+_SEARCHED = range(20_000, 20_012)
+"""Seeds of the configs that a row of the campaign grasps with."""
+_WITH_THE_PART = frozenset({GripperPhase.APPROACHING, GripperPhase.RAMPING})
+
+
+def part_leaves(row: FaultRow) -> Observed:
+    """Grasp while the part goes; time runs until the fingers press no more."""
+    with campaign_cell(row.changes) as cell:
+        injected = cell.simulated.inject(row.injected)
+        refusals: list[str] = []
+
+        def job(cell: CampaignCell) -> None:
+            try:
+                grasp_job(cell)
+            except NoPartFound as error:
+                refusals.append(str(error))
+
+        with cell.first_time(_stopped_pressing(cell)) as known_s:
+            seen = observe(cell, job=job)
+        if not refusals or not known_s or injected.began_s is None:
+            return seen
+        return Observed(
+            row.reaction,
+            known_s[0] - injected.began_s,
+            f"{refusals[0]}; {cell.controller.life.state.value}, the fingers are open",
+        )
+
+
+def _stopped_pressing(cell: CampaignCell) -> Callable[[], bool]:
+    """Return a test for a grasp that has begun to close and closes no more."""
+    closing = False
+
+    def happens() -> bool:
+        nonlocal closing
+        phase = cell.controller.hand.phase
+        if phase in _WITH_THE_PART:
+            closing = True
+            return False
+        return closing
+
+    return happens
+
+
+def something_pushes(row: FaultRow) -> Observed:
+    """Grasp while something pushes back; time counts from the moment the cap is passed."""
+    with campaign_cell(row.changes) as cell:
+        cell.monitor.world_pushes = True
+        cell.monitor.limp_allowed = row.reaction == "LIMP"
+        world = cell.simulated.world
+        with cell.first_time(lambda: max(world.contact_force_n()) > CAP_N) as over_s:
+            seen = observe(cell, row.injected)
+        latched_s = cell.monitor.latched_s
+        if latched_s is None or not over_s:
+            return seen
+        return later(cell, replace(seen, detected_after_s=latched_s - over_s[0]))
+
+
+def fast_approach(row: FaultRow) -> Observed:
+    """Grasp with a config that asks for more speed than can be stopped."""
+    with campaign_cell(row.changes) as cell:
+        return observe(cell)
+
+
+def random_configs(_row: FaultRow) -> Observed:
+    """Grasp once with each of some configs that were drawn; the true force stays below the cap."""
+    found = [trial(seed) for seed in _SEARCHED]
+    broken = [one for one in found if one.broken]
+    if broken:
+        return Observed("ABOVE THE CAP", None, str(broken[0]))
+    gripped = [one for one in found if not one.refused]
+    highest = max(one.true_n / one.cap_n for one in gripped)
+    return Observed(
+        "NOTHING",
+        None,
+        f"{len(gripped)} gripped, {len(found) - len(gripped)} were refused; the largest true force "
+        f"was {highest:.2f} of its cap",
+    )

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from cell.config.file import load_config
-from tests.faults import scenarios
+from tests.faults import campaign
 from tests.faults.campaign import (
     FaultRow,
     campaign_config,
@@ -127,17 +127,17 @@ def _with(changes: Mapping[str, Any], rows: Iterable[FaultRow]) -> tuple[FaultRo
 CAN_BUS = (
     FaultRow(1, "", "one tactile frame lost (one message of it)",
              "can.lose_next=1, with a SYNC", "NOTE", BURST_S + SYNC_S + LOOP_S,
-             partial(scenarios.sets_lost, lost=lambda number: number == 0, crossing=1)),
+             partial(campaign.sets_lost, lost=lambda number: number == 0, crossing=1)),
     FaultRow(2, "silence", "every set lost, beginning anywhere between two SYNCs",
              "can.loss=1@contact+0.1s", "HOLD", SETS_S + SYNC_S, number=401),
     FaultRow(2, "one set in five",
              "20 % of the sets lost, evenly; the limit counts from the set that is one too many",
              "can.lose_next=1, with each fifth SYNC", "HOLD", 0.06,
-             partial(scenarios.sets_lost, lost=lambda number: number % 5 == 0, crossing=3)),
+             partial(campaign.sets_lost, lost=lambda number: number % 5 == 0, crossing=3)),
     FaultRow(2, "one set in twenty",
              "5 % of the sets lost, evenly; the limit counts from the set that is one too many",
              "can.lose_next=1, with each 20th SYNC", "HOLD", 0.06,
-             partial(scenarios.sets_lost, lost=lambda number: number % 20 == 0, crossing=3),
+             partial(campaign.sets_lost, lost=lambda number: number % 20 == 0, crossing=3),
              {"sequence.ramp.hold_s": 1.5}),
     FaultRow(3, "", "every fifth message comes twice", "can.duplicate=0.2@contact", "NOTE", None),
     FaultRow(4, "reordered", "messages come after their successor",
@@ -172,7 +172,7 @@ CAN_BUS = (
              "can.unplugged@contact+0.2s", "HOLD", 0.1, number=311),
     FaultRow(8, "back again",
              "the CAN adapter is out for 50 ms; no silent reconnect, but by clear and reset",
-             "can.unplugged@contact+0.1s..contact+0.15s", "HOLD", 0.1, scenarios.adapter_comes_back,
+             "can.unplugged@contact+0.1s..contact+0.15s", "HOLD", 0.1, campaign.adapter_comes_back,
              number=311),
 )
 
@@ -314,7 +314,7 @@ TAXELS = _with(PAPER_PADS, (
     FaultRow(17, "drift between grasps",
              "the zero has drifted before the next grasp; it is refused with nothing moved",
              "taxels.offset=10 in a cell that waits", "HOLD", None,
-             scenarios.drifts_between_grasps),
+             campaign.drifts_between_grasps),
 ))
 
 USKIN = _with(OF_USKIN, (
@@ -386,7 +386,7 @@ RH_P12 = tuple(replace(row, long=True) for row in _with(OF_RH_P12, (
     # and a slide by a larger way.
     *(FaultRow(28, f"rh-p12 part lost in {where}", f"the part leaves its fingers in {where}",
                f"object.gone@contact+{after_s}s", "PART LOST", 0.15,
-               scenarios.part_leaves, LONG_HOLD)
+               campaign.part_leaves, LONG_HOLD)
       for where, after_s in (("the ramp", 0.3), ("a hold", 1.5))),
     FaultRow(28, "rh-p12 part slips", "the held part slides along the pads with 20 mm/s",
              "object.slips=20@contact+1.5s", "HOLD", 0.45,
@@ -410,7 +410,7 @@ SERVO_BUS = (
     FaultRow(19, "cable back",
              "the cable is out for 0.2 s; no silent reconnect, but by clear and reset",
              "servos.unplugged@contact+0.2s..contact+0.4s", "HOLD", BUS_LOST_S,
-             scenarios.adapter_comes_back, number=101),
+             campaign.adapter_comes_back, number=101),
     FaultRow(19, "dead bus", "no servo answers any more in the ramp",
              "servos.off@contact+0.2s", "HOLD", BUS_LOST_S, number=102),
     FaultRow(19, "all answers late", "all answers come 30 ms late from the ramp on",
@@ -516,11 +516,11 @@ SERVOS = (
 GRIP = (
     FaultRow(28, "no part",
              "the part is taken away in the approach: the fingers close to their limit",
-             "object.gone@moving+0.6s", "NO PART FOUND", 1.5, scenarios.part_leaves, WIDE),
+             "object.gone@moving+0.6s", "NO PART FOUND", 1.5, campaign.part_leaves, WIDE),
     FaultRow(28, "part lost in the ramp", "the part is taken out of the fingers in the ramp",
-             "object.gone@contact+0.3s", "PART LOST", 0.03, scenarios.part_leaves, LONG_HOLD),
+             "object.gone@contact+0.3s", "PART LOST", 0.03, campaign.part_leaves, LONG_HOLD),
     FaultRow(28, "part lost in a hold", "the part is taken out of the fingers while it is held",
-             "object.gone@contact+1.5s", "PART LOST", 0.025, scenarios.part_leaves, LONG_HOLD),
+             "object.gone@contact+1.5s", "PART LOST", 0.025, campaign.part_leaves, LONG_HOLD),
     # 2 mm of way, and the mean of the sensor; 50 ms would be 1 mm, its noise.
     FaultRow(28, "part slips", "the held part slides along the pads with 20 mm/s",
              "object.slips=20@contact+1.5s", "HOLD", 0.2,
@@ -531,9 +531,9 @@ GRIP = (
       for rate_n_s in (20.0, 40.0)
       for variant, fault, injected, reaction, limit_s, scenario in (
           ("part lost in the ramp", "the part is taken out of the fingers in the ramp",
-           "object.gone@contact+0.1s", "PART LOST", 0.03, scenarios.part_leaves),
+           "object.gone@contact+0.1s", "PART LOST", 0.03, campaign.part_leaves),
           ("part lost in a hold", "the part is taken out of the fingers while it is held",
-           "object.gone@contact+1.0s", "PART LOST", 0.025, scenarios.part_leaves),
+           "object.gone@contact+1.0s", "PART LOST", 0.025, campaign.part_leaves),
           ("part slips", "the held part slides along the pads with 20 mm/s",
            "object.slips=20@contact+1.0s", "HOLD", 0.2,
            partial(grasp_with_fault, look_again=False)))),
@@ -554,25 +554,25 @@ GRIP = (
           (28, "part slips", "the part slides along the pads with 20 mm/s", "object.slips=20",
            "HOLD", 0.2, 206))),
     FaultRow(29, "too much force",
-             f"something trapped pushes the force above its cap of {scenarios.CAP_N:g} N in a "
+             f"something trapped pushes the force above its cap of {campaign.CAP_N:g} N in a "
              "hold; time counts from the cap",
-             "object.trapped=3@contact+0.8s", "HOLD", LOWER_S, scenarios.something_pushes,
-             LONG_HOLD | {"sequence.force_n": [2.0, 4.0], "gripper.force_max_n": scenarios.CAP_N}),
+             "object.trapped=3@contact+0.8s", "HOLD", LOWER_S, campaign.something_pushes,
+             LONG_HOLD | {"sequence.force_n": [2.0, 4.0], "gripper.force_max_n": campaign.CAP_N}),
     FaultRow(29, "approach of 200 mm per s",
              "a config asks for an approach whose impact is far above the cap; it is slowed down",
-             "gripper.approach_speed_mm_s=200", "NOTHING", None, scenarios.fast_approach,
+             "gripper.approach_speed_mm_s=200", "NOTHING", None, campaign.fast_approach,
              {"gripper.approach_speed_mm_s": 200.0, "gripper.force_max_n": 8.0,
                       "gripper.aperture_open_mm": 18.0, "gripper.linkage.link_mm": 30.0,
                       "sequence.force_n": [2.0, 4.0], "tactile.force_period_ms": 0}),
     FaultRow(29, "random configs", "valid configs with fast, strong or late fingers",
-             "12 configs that are drawn", "NOTHING", None, scenarios.random_configs, long=True),
+             "12 configs that are drawn", "NOTHING", None, campaign.random_configs, long=True),
 )
 
 HOST_PROGRAM = (
     *(FaultRow(31, f"{stall_ms} ms stall",
                f"the loop is held up for {stall_ms} ms in the ramp, once",
                "a sink that sleeps", reaction, limit_s,
-               partial(scenarios.loop_held_up, stall_s=1e-3 * stall_ms))
+               partial(campaign.loop_held_up, stall_s=1e-3 * stall_ms))
       for stall_ms, reaction, limit_s in (
           (10, "NOTE", 2 * LOOP_S),
           (50, "NOTE", 2 * LOOP_S),
@@ -580,26 +580,26 @@ HOST_PROGRAM = (
     FaultRow(31, "overruns in a row",
              f"each period takes 10 ms too long; {OVERRUNS_MAX} in a row are the limit",
              "a sink that sleeps, each time", "HOLD", (OVERRUNS_MAX + 2) * (0.010 + LOOP_S),
-             partial(scenarios.loop_held_up, stall_s=0.010, times=1000)),
+             partial(campaign.loop_held_up, stall_s=0.010, times=1000)),
     FaultRow(32, "sink", "what collects the periods of the loop raises",
-             "an exception", "HOLD", LOOP_S, scenarios.error_in_the_loop),
+             "an exception", "HOLD", LOOP_S, campaign.error_in_the_loop),
     FaultRow(32, "mover", "the host's callback that moves the robot raises",
-             "an exception", "HOLD", LOOP_S, scenarios.error_in_the_mover),
+             "an exception", "HOLD", LOOP_S, campaign.error_in_the_mover),
     *(FaultRow(33, number.name, f"{number.name} in the ramp",
-               "a signal to the command that grasps", "HOLD", 0.02, scenarios.signal_in_the_ramp)
+               "a signal to the command that grasps", "HOLD", 0.02, campaign.signal_in_the_ramp)
       for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)),
     FaultRow(33, "uncaught error",
              "a host program ends by an error of its own mid-job and closes nothing",
              "an exception in the main thread, real time", "HOLD", SIGNAL_S,
-             scenarios.host_ends_by_an_error, real_time=True),
+             campaign.host_ends_by_an_error, real_time=True),
     *(FaultRow(40, variant, "the wall clock jumps in the ramp", f"{step_s:+g} s", "NOTHING", None,
-               partial(scenarios.wall_clock_jumps, step_s=step_s))
+               partial(campaign.wall_clock_jumps, step_s=step_s))
       for variant, step_s in (
           ("an hour on", HOUR_S), ("an hour back", -HOUR_S), ("NTP step", -0.4))),
 )
 
 AXES = (
-    *(FaultRow(43, variant, fault, text, "HOLD", limit_s, scenarios.axis_fails, number=number,
+    *(FaultRow(43, variant, fault, text, "HOLD", limit_s, campaign.axis_fails, number=number,
                long=variant != "drive fault")
       for variant, fault, text, limit_s, number in (
           ("drive fault", "a drive goes to fault while it moves", "axis1.fault=0x2310", AXIS_S,
@@ -614,7 +614,7 @@ AXES = (
     FaultRow(43, "drive fault in a hold",
              "a drive goes to fault while the part is held: the grip is kept, the next motion is "
              "refused",
-             "axis1.fault=0x2310@contact+0.2s", "HOLD", None, scenarios.drive_fails_in_a_hold,
+             "axis1.fault=0x2310@contact+0.2s", "HOLD", None, campaign.drive_fails_in_a_hold,
              long=True),
 )
 # fmt: on

@@ -4,11 +4,10 @@ import contextlib
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-from tests.waiting import LIMIT_S, until
+from tests.waiting import LIMIT_S
 
 PROGRAM = (sys.executable, "-c", "from cell.interfaces.cli import main; main()")
 CONFIG = """
@@ -30,12 +29,6 @@ def first(pid: int) -> None:
         os.sched_setscheduler(pid, os.SCHED_FIFO, os.sched_param(40))
 
 
-def hurry(pid: int) -> None:
-    """Let a process go before others, where the machine permits it: it has deadlines of 3 ms."""
-    with contextlib.suppress(PermissionError):
-        os.setpriority(os.PRIO_PROCESS, pid, -10)
-
-
 def child_of(pid: int) -> int:
     """Return the only child of a process; any of its threads may have started it."""
     threads = Path(f"/proc/{pid}/task").glob("*/children")
@@ -52,46 +45,21 @@ def ended(pid: int) -> bool:
     return state == "Z"
 
 
-def done(cell: Any, lease: int, job: int) -> int:
-    """Wait for a job over XML-RPC and return how it ended."""
-    assert job > 0, job
-    until(lambda: cell.alive(lease) or cell.job_state(job) >= 4)
-    return cell.job_state(job)
-
-
-def start(*arguments: object) -> subprocess.Popen[str]:
-    """Start the program with its output in pipes."""
-    process = subprocess.Popen(
-        [*PROGRAM, *map(str, arguments)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    hurry(process.pid)
-    return process
-
-
-@contextlib.contextmanager
-def running(*arguments: object) -> Iterator[subprocess.Popen[str]]:
-    """Start the program and end it with the block, whatever happens."""
-    process = start(*arguments)
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
+def run(
+    *arguments: object,
+    code: int = 0,
+    meanwhile: Callable[[subprocess.Popen[str]], object] = lambda _process: None,
+) -> str:
+    """Run the program to its end with an exit code; return on one line what was said."""
+    pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    command = [*PROGRAM, *map(str, arguments)]
+    with subprocess.Popen(command, text=True, **pipes) as process:
+        try:
+            with contextlib.suppress(PermissionError):  # it has deadlines of 3 ms
+                os.setpriority(os.PRIO_PROCESS, process.pid, -10)
+            meanwhile(process)
+            out, err = process.communicate(timeout=LIMIT_S)
+        finally:
             process.kill()
-        process.communicate()
-
-
-def end(process: subprocess.Popen[str], code: int = 0) -> str:
-    """Wait for the end with an exit code; return on one line what was said, errors at last."""
-    out, err = process.communicate(timeout=LIMIT_S)
     assert process.returncode == code, err
     return " ".join(f"{out} {err}".split())
-
-
-def run(*arguments: object, code: int = 0) -> str:
-    """Run the program to its end; see `end`."""
-    with running(*arguments) as process:
-        return end(process, code)

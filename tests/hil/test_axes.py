@@ -10,7 +10,7 @@ from cell.runtime.goals import TeachGoal
 from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.worker import JobFailed
 from pytest_tactile_cell.process import CellProcess
-from tests.faults.scenarios import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
+from tests.faults.campaign import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 from tests.hil.program import CONFIG, first
 from tests.waiting import LIMIT_S, until
 

@@ -13,7 +13,7 @@ from cell.recording.reader import read_recording
 from cell.runtime.plugin import TactileCellPlugin
 from gripper.errors import ServoFault
 from pytest_tactile_cell.process import CellProcess
-from tests.hil.program import CONFIG, LIMIT_S, SEQUENCE, end, first, run, running
+from tests.hil.program import CONFIG, LIMIT_S, SEQUENCE, first, run
 
 pytestmark = pytest.mark.real_time
 
@@ -65,10 +65,13 @@ def test_the_program_teaches_and_identifies_over_real_ports(simulator, tmp_path)
 
 def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(simulator, tmp_path) -> None:
     report = tmp_path / "ended.json"
-    with running(*teaching(simulator, tmp_path, 50, "--json", report)) as client:
+
+    def interrupt(client: Any) -> None:
         simulator.wait_for_grip(2.4)
         client.send_signal(signal.SIGINT)
-        said = end(client, 1)
+
+    command = teaching(simulator, tmp_path, 50, "--json", report)
+    said = run(*command, code=1, meanwhile=interrupt)
     assert "the grip is kept until it is released on purpose. Recording so far: " in said
     assert "Traceback" not in said
     assert "Force loop: " in said

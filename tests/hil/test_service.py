@@ -1,14 +1,10 @@
 """The cell as a service: processes are killed in a grasp, and a supervisor starts them again."""
 
-import json
 import os
 import signal
 import socket
 import subprocess
-import sys
-import threading
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 from xmlrpc.client import ServerProxy
 
@@ -18,7 +14,8 @@ from cell.config.file import parse_config
 from cell.service.service import RELEASE_KEY
 from pytest_tactile_cell.process import CellProcess
 from tests.cell.conftest import Taught, small_config, taught  # noqa: F401  a fixture
-from tests.hil.program import CONFIG, LIMIT_S, PROGRAM, child_of, done, first
+from tests.hil.program import CONFIG, LIMIT_S, PROGRAM, child_of, first
+from tests.hil.supervisor import Supervisor
 from tests.marks import LONG
 from tests.waiting import until
 
@@ -29,29 +26,6 @@ GRIPPED_N = 1.5
 KEPT_N = 0.6
 """Least force in N with which a part counts as held."""
 LOOP_GONE, PART_IN_GRIP = 508, 506
-
-
-class Service:
-    """The service of a unit, and what its supervisor has reported."""
-
-    def __init__(self, unit: Path, port: int) -> None:
-        command = [sys.executable, "-m", "tests.hil.supervisor", str(unit)]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        self.cell: Any = ServerProxy(f"http://127.0.0.1:{port}")
-        self.events: list[dict[str, Any]] = []
-        self.reader = threading.Thread(target=self._read, daemon=True)
-        self.reader.start()
-
-    def _read(self) -> None:
-        self.events.extend(json.loads(line) for line in self.process.stdout)
-
-    @property
-    def pid(self) -> int:
-        return [one["pid"] for one in self.events if one["event"] == "started"][-1]
-
-    def sent(self, text: str, since: int = 0) -> bool:
-        """Whether a text was sent after so many events."""
-        return any(one.get("text") == text for one in self.events[since:])
 
 
 @pytest.fixture(scope="module")
@@ -72,21 +46,31 @@ def service(
     simulator: CellProcess,
     taught: Taught,  # noqa: F811
     tmp_path_factory: Any,
-) -> Iterator[Service]:
+) -> Iterator[Supervisor]:
     folder = tmp_path_factory.mktemp("service")
     install = (*PROGRAM, "service", "install", "--apply", "--root", folder,
                "-c", simulator.config_path, "--model", taught.result.model)  # fmt: skip
     subprocess.run(install, input="n\nn\ny\n", text=True, check=True, stdout=subprocess.DEVNULL)
     unit = folder / "etc/systemd/system/tactile-cell.service"
+    found = Supervisor(unit, folder / "notify")
+    found.start()
+    until(lambda: "READY=1" in found.sent)
+    yield found
+    assert found.end(LIMIT_S) == 0
+
+
+@pytest.fixture(scope="module")
+def cell(simulator: CellProcess, service: Supervisor) -> Iterator[Any]:
     config = parse_config(simulator.config_path.read_text(), source="test")
-    found = Service(unit, config.serve.xmlrpc_port or 0)
-    until(lambda: found.sent("READY=1"))
-    with found.process, found.cell:
-        yield found
-        found.process.terminate()
-        assert found.process.wait(LIMIT_S) == 0
-        found.reader.join(LIMIT_S)
-    assert found.events[-1] == {"event": "ended", "code": 0}
+    with ServerProxy(f"http://127.0.0.1:{config.serve.xmlrpc_port}") as proxy:
+        yield proxy
+
+
+def done(cell: Any, lease: int, job: int) -> int:
+    """Wait for a job over XML-RPC and return how it ended."""
+    assert job > 0, job
+    until(lambda: cell.alive(lease) or cell.job_state(job) >= 4)
+    return cell.job_state(job)
 
 
 @pytest.mark.timeout(300)
@@ -94,24 +78,23 @@ def service(
     "killed",
     ["main", "both", "hand", LONG("ended")],
 )
-def test_a_part_outlasts_the_processes_that_hold_it(service, simulator, killed) -> None:
-    cell = service.cell
+def test_a_part_outlasts_the_processes_that_hold_it(service, simulator, cell, killed) -> None:
     lease = cell.acquire("before")
     assert cell.teach(lease, "box", 5) > 0
     simulator.wait_for_grip(GRIPPED_N)
-    main = service.pid
+    main = service.main.pid
     hand = child_of(main)
     for pid in {"main": [main], "hand": [hand], "both": [hand, main], "ended": [main]}[killed]:
         os.kill(pid, signal.SIGTERM if killed == "ended" else signal.SIGKILL)
-    forces_n, since = [], len(service.events)
+    forces_n, since = [], len(service.sent)
 
     def reported() -> bool:
         forces_n.append(simulator.grip_n())
         number = LOOP_GONE if killed == "hand" else PART_IN_GRIP
-        return service.sent(f"STATUS=ABORTED, a part is held, fault {number}", since)
+        return f"STATUS=ABORTED, a part is held, fault {number}" in service.sent[since:]
 
     until(reported)
-    assert (service.pid == main) == (killed == "hand")
+    assert (service.main.pid == main) == (killed == "hand")
     assert min(forces_n) > KEPT_N
     assert (cell.state(), cell.holding()) == (9, True)
     if killed != "hand":

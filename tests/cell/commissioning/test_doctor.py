@@ -22,7 +22,7 @@ from cell.formats import COMMISSIONING, write_json
 from cell.simulation import simulation_of
 from tactile.source import SourceIdentity
 from tests.cell.conftest import once, small_config
-from tests.faults.scenarios import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
+from tests.faults.campaign import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 
 REAL = {
     "gripper__port": "/dev/serial-that-is-not-there",

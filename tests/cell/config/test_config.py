@@ -40,7 +40,7 @@ from gripper.dynamixel.models import MODELS
 from gripper.settings import GripperSettings
 from tactile.flexitac.stream import PROFILES
 from tactile.layout import LAYOUTS
-from tests.faults.scenarios import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
+from tests.faults.campaign import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 from tests.marks import LONG
 
 CONFIG_FOLDER = Path(__file__).parents[3] / "config"

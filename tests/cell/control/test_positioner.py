@@ -25,7 +25,7 @@ from cell.control.states import CellState
 from cell.errors import CellStateError, CellStopped, PositionerError, PositionerFault
 from gripper.values.state import GripperPhase
 from tests.cell.conftest import MakeBench, once, quick_config
-from tests.faults.scenarios import CHANGES
+from tests.faults.campaign import CHANGES
 from tests.values import raising
 
 POSE = Pose(x_m=1e-3, rotation_rad=1.0)

@@ -21,7 +21,7 @@ from pytest_tactile_cell.configs import simulated_config
 from pytest_tactile_cell.virtual import grasps_of
 from tactile.errors import BusNotOpened
 from tactile.sensor.settings import SensorSettings
-from tests.faults.scenarios import X_AXIS
+from tests.faults.campaign import X_AXIS
 from tests.marks import LONG
 
 FLEXITAC, USKIN = (
