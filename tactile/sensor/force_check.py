@@ -3,12 +3,12 @@
 Both come from the same taxels. For the messages the unit sums fast scans by the host's table and
 zero; for the frames the host uses its own calibration. A table of another pad, a lost zero or an
 error of the unit causes a lasting difference. Each frame is compared with the messages around its
-scan, so a changing force causes no difference. The mean of more frames shows smaller differences.
+scan, so a changing force causes no difference. Cumulative sums (CUSUM, Page 1954) of what is beyond
+the limits find large differences within two frames, small ones later.
 """
 
 from collections import deque
-from collections.abc import Iterator
-from math import inf, isinf, nan
+from math import inf, isinf
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,14 +22,14 @@ Array = NDArray[np.float64]
 _BEFORE_S, _AFTER_S = 0.0065, 0.0055
 """Times in s before and after the first message of a frame's burst: messages received between them
 are compared with the frame. The force of a message is 1.5 ms old."""
-_WINDOWS = (2, 3, 6, 12, 25)
-"""Numbers of frames whose mean difference is checked: from 40 ms to half a second at 50 Hz."""
-_SIGMAS = 5.0
-"""Least difference in standard deviations of that mean that counts. It gives less than one false
-alarm in a hundred hours of a hold, for all windows together."""
-_OUTLIER_SIGMAS = 4.0
-"""Largest weight of the difference of one frame in standard deviations. A part that leaves between
-two messages differs in one frame only."""
+_REFERENCE_SIGMAS, _DECISION_SIGMAS = 1.0, 6.0
+"""CUSUM in standard deviations of one frame: what each frame subtracts from the sum of the
+differences beyond their limits, and the sum that counts. With the limits this gives less than one
+false alarm in a hundred hours of a hold. A difference of 2 standard deviations beyond its limit is
+found after 7 frames."""
+_OUTLIER_SIGMAS = 4.5
+"""Largest part of one frame in the sum in standard deviations. A part that leaves between two
+messages differs in one frame only."""
 _LEAST_N, _LEAST_SHARE = 0.05, 0.04
 """Difference in N, plus a share of the force, that is allowed without noise. In the simulated cell
 (fine and coarse pads, balls, boxes and cylinders, ramps of 6 and 20 N/s to 1.5, 6 and 14 N) the
@@ -105,44 +105,23 @@ class ForceCentres:
         return np.sqrt(variance_m2)
 
 
-_PAIR = np.dtype(
-    [
-        ("frame_n", "f8", 2),
-        ("message_n", "f8", 2),
-        ("apart_n", "f8", 2),
-        ("above_n", "f8", 2),
-        ("below_n", "f8", 2),
-        ("noise_n", "f8"),
-        ("apart_taxels", "f8", 2),
-        ("centre_variance", "f8", 2),
-        ("below_share", "f8"),
-    ]
-)
-"""Frame and messages of one scan, and their difference.
-
-``apart_n`` is the force in the frame less that in the messages; ``above_n`` and ``below_n`` are its
-limits without noise. ``apart_taxels`` is nan without a comparison of centres. ``below_share`` is
-the share of the force on taxels of the frame that are below their threshold, with its noise.
-"""
-
-
 class ForceCheck:
-    """Comparison of messages and frames: each frame, and the mean of the last ones."""
+    """Comparison of messages and frames by cumulative sums."""
 
     def __init__(self) -> None:
         self._messages: deque[ForceMessage] = deque(maxlen=_STORED)
-        self._pairs: deque[tuple[ArrayLike, ...]] = deque(maxlen=_WINDOWS[-1])
-        self._taxel_noise_n = 0.0
+        self.reset(0.0)
 
     def add(self, message: ForceMessage) -> None:
         """Add a message."""
         self._messages.append(message)
 
     def reset(self, taxel_noise_n: float) -> None:
-        """Discard messages and frames: a new zero, with this noise of one taxel in N."""
+        """Discard messages and sums: a new zero, with this noise of one taxel in N."""
         self._taxel_noise_n = taxel_noise_n
         self._messages.clear()
-        self._pairs.clear()
+        # Of more and less force on each finger, then of the centre in both directions of each axis.
+        self._sums = np.zeros((4, 2))
 
     def compare(
         self,
@@ -157,8 +136,8 @@ class ForceCheck:
     ) -> None:
         """Compare a frame with the messages around its scan.
 
-        Raises ForceContradicted if force or centre of the last frames differ from those of the
-        messages. Pairs are of finger 0 and finger 1, or along and across the fingers.
+        Raises ForceContradicted if force or centre of this and earlier frames differ from those of
+        the messages. Pairs are of finger 0 and finger 1, or along and across the fingers.
 
         Parameters
         ----------
@@ -190,53 +169,35 @@ class ForceCheck:
         above_n = np.maximum(above_n, hidden_n)
         unseen_n = max(_UNSEEN_N, _UNSEEN_SIGMAS * taxel_noise_n)
         below_n = np.where(frame_n == 0.0, np.maximum(below_n, unseen_n), below_n)
-        most_n = _OUTLIER_SIGMAS * noise_n
-        apart_n = np.clip(frame_n - message_n, -below_n - most_n, above_n + most_n)
+        apart_n = frame_n - message_n
+        beyond = np.full((4, 2), -inf)
+        beyond[:2] = np.array([apart_n - above_n, -apart_n - below_n]) / noise_n
         grip_n, least_n = message_n.mean(), _CENTRE_LEAST_SIGMAS * taxel_noise_n
-        apart_taxels = np.full(2, nan)
-        heavy = min(active_n.mean(), grip_n) >= max(_CENTRE_LEAST_N, least_n)
-        if heavy and centre_taxels is not None:
+        apart_taxels, allowed_taxels = np.zeros(2), _CENTRE_TAXELS
+        if centre_taxels is not None and min(active_n.mean(), grip_n) >= max(
+            _CENTRE_LEAST_N, least_n
+        ):
             # Messages without a centre, and a frame with one: the largest possible error.
             apart_taxels = np.subtract(mean_centre_taxels(messages) or inf, centre_taxels)
-        variance = np.square(centre_noise_taxels)
-        below_share = (all_n - active_n).mean() / max(grip_n, _CENTRE_LEAST_N)
-        forces_n = active_n, message_n, apart_n, above_n, below_n, noise_n
-        self._pairs.appendleft((*forces_n, apart_taxels, variance, below_share))
-        _check(np.array(list(self._pairs), dtype=_PAIR))
-
-
-def _check(pairs: NDArray[np.void]) -> None:
-    """Raise ForceContradicted if the means of the last frames and of the messages differ."""
-    n = np.arange(1.0, len(pairs) + 1.0)[:, None]
-    mean = {
-        name: pairs[name].reshape(len(pairs), -1).cumsum(axis=0) / n for name in _PAIR.names or ()
-    }
-    least_n = np.where(mean["apart_n"] > 0.0, mean["above_n"], mean["below_n"])
-    allowed_n = least_n + _SIGMAS * mean["noise_n"] / np.sqrt(n)
-    for last, finger in _beyond(np.abs(mean["apart_n"]), allowed_n):
-        raise ForceContradicted(
-            f"the force messages show {mean['message_n'][last, finger]:.2f} N on finger {finger}, "
-            f"{last + 1} frames of the same time {mean['frame_n'][last, finger]:.2f} N; a "
-            f"difference of {allowed_n[last, finger]:.2f} N is allowed: {_ADVICE}"
-        )
-    least_n = np.minimum.accumulate(pairs["frame_n"].mean(axis=1))[:, None]
-    by_force = _CENTRE_N_TAXELS / np.maximum(least_n, _CENTRE_LEAST_N)
-    noise = np.maximum(by_force, _CENTRE_BOTH * np.sqrt(mean["centre_variance"]))
-    allowed = _CENTRE_TAXELS + _SIGMAS * noise / np.sqrt(n)
-    allowed += _SPREAD_TAXELS * np.maximum(mean["below_share"], 0.0)
-    apart = np.abs(mean["apart_taxels"])
-    for last, axis in _beyond(apart, allowed):
-        where = f"is {apart[last, axis]:.2f} pitches of the taxels away from that in"
-        if isinf(apart[last, axis]):
-            where = "is missing, though there is one in"
-        raise ForceContradicted(
-            f"the centre of the force in the messages {where} {last + 1} frames of the same "
-            f"time, {allowed[last, axis]:.2f} pitches are allowed: {_ADVICE}"
-        )
-
-
-def _beyond(apart: Array, allowed: Array) -> Iterator[tuple[int, int]]:
-    """Yield rows and columns beyond their limits, of the rows that end a window."""
-    for n in _WINDOWS:
-        for column in np.flatnonzero(apart[n - 1 : n] > allowed[n - 1 : n]):
-            yield n - 1, int(column)
+            by_force = _CENTRE_N_TAXELS / max(frame_n.mean(), _CENTRE_LEAST_N)
+            noise = np.maximum(by_force, _CENTRE_BOTH * np.asarray(centre_noise_taxels))
+            below_share = max(0.0, (all_n - active_n).mean() / max(grip_n, _CENTRE_LEAST_N))
+            allowed_taxels += _SPREAD_TAXELS * below_share
+            beyond[2:] = (np.array([apart_taxels, -apart_taxels]) - allowed_taxels) / noise
+        step = np.minimum(beyond, _OUTLIER_SIGMAS) - _REFERENCE_SIGMAS
+        self._sums = np.maximum(self._sums + step, 0.0)
+        for kind, n in np.argwhere(self._sums > _DECISION_SIGMAS).tolist():
+            if kind < 2:
+                raise ForceContradicted(
+                    f"the force messages show {message_n[n]:.2f} N on finger {n}, frames of the "
+                    f"same time {frame_n[n]:.2f} N; a difference of "
+                    f"{(above_n, below_n)[kind][n]:.2f} N is allowed: {_ADVICE}"
+                )
+            away = np.abs(apart_taxels)[n]
+            where = f"is {away:.2f} pitches of the taxels away from that in"
+            if isinf(away):
+                where = "is missing, though there is one in"
+            raise ForceContradicted(
+                f"the centre of the force in the messages {where} the frames of the same time, "
+                f"{allowed_taxels:.2f} pitches are allowed: {_ADVICE}"
+            )
