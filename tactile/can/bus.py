@@ -46,6 +46,8 @@ _MESSAGE = re.compile(
 _STAMP_DIGITS = 4
 _FLAGS = re.compile("F([0-9A-Fa-f]{2})")
 """Answer of a serial adapter to the command F."""
+_TTY_BAUD = 1_000_000
+"""Speed of the serial port of an adapter in baud; those on USB ignore it."""
 _FLAG_PASSIVE = 0x20
 _FLAGS_EVERY_S = 0.05
 """Period in s of that command: a tenth of the allowed time of a passive controller."""
@@ -144,11 +146,9 @@ class BulkSlcanBus(slcanBus):
     ----------
     bitrate
         CAN bit rate in bit/s.
-    tty_baudrate
-        Speed of the serial port in baud.
     """
 
-    def __init__(self, channel: str, *, bitrate: int, tty_baudrate: int) -> None:
+    def __init__(self, channel: str, *, bitrate: int) -> None:
         self._messages: deque[can.Message] = deque()
         self._passing_over = False
         self._passive = False
@@ -156,7 +156,7 @@ class BulkSlcanBus(slcanBus):
         self._flags_unanswered = 0
         self.bad_lines = 0
         super().__init__(
-            channel, bitrate=bitrate, tty_baudrate=tty_baudrate, sleep_after_open=0.0, timeout=0.0
+            channel, bitrate=bitrate, tty_baudrate=_TTY_BAUD, sleep_after_open=0.0, timeout=0.0
         )
 
     def set_bitrate(self, bitrate: int, data_bitrate: int | None = None) -> None:
@@ -243,7 +243,6 @@ def open_bus(
     channel: str,
     *,
     bitrate: int = 500_000,
-    tty_baudrate: int = 1_000_000,
     shared: bool = False,
     nodes: Sequence[int] = (),
 ) -> can.BusABC:
@@ -259,8 +258,6 @@ def open_bus(
         Interface or port.
     bitrate
         CAN bit rate in bit/s. The system sets that of SocketCAN interfaces.
-    tty_baudrate
-        Speed of the serial port of an ``slcan`` adapter in baud.
     shared
         Whether another part of this program has opened the interface and holds its lock; only
         ``socketcan`` can be opened twice.
@@ -271,7 +268,7 @@ def open_bus(
         with ExitStack() as opened:
             if not (shared and interface == "socketcan"):
                 opened.enter_context(bus_lock(interface, channel))
-            bus = _open(interface, channel, bitrate=bitrate, tty_baudrate=tty_baudrate)
+            bus = _open(interface, channel, bitrate=bitrate)
             opened.callback(bus.shutdown)
             # Only the system's filter lets error frames pass.
             if nodes and interface == "socketcan":
@@ -295,9 +292,9 @@ def open_bus(
         ) from error
 
 
-def _open(interface: str, channel: str, *, bitrate: int, tty_baudrate: int) -> can.BusABC:
+def _open(interface: str, channel: str, *, bitrate: int) -> can.BusABC:
     if interface == "slcan":
-        return BulkSlcanBus(channel, bitrate=bitrate, tty_baudrate=tty_baudrate)
+        return BulkSlcanBus(channel, bitrate=bitrate)
     options: dict[str, Any] = {"bitrate": bitrate}
     if interface == "socketcan":
         # Without this interface the driver would leave a socket open.

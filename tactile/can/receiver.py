@@ -86,7 +86,7 @@ class PolledSource:
         """Nothing to stop."""
 
 
-class ThreadedReceiver:
+class ThreadedReceiver(PolledSource):
     """Source with one thread that stamps and queues messages; the end of the thread is a fault.
 
     Parameters
@@ -102,9 +102,7 @@ class ThreadedReceiver:
     def __init__(
         self, bus: can.BusABC, clock: Clock, *, limit: int = 20_000, hang_s: float = 1.0
     ) -> None:
-        self._bus = bus
-        self._clock = clock
-        self._limit = limit
+        super().__init__(bus, clock, limit=limit)
         self._hang_s = hang_s
         self._queue: deque[Stamped] = deque()
         self._stop = threading.Event()
@@ -161,10 +159,6 @@ class ThreadedReceiver:
         queue = self._queue
         return [queue.popleft() for _ in range(len(queue))]
 
-    def wait(self, timeout_s: float) -> None:
-        """Sleep for a short while, at most ``timeout_s``."""
-        self._clock.sleep(min(timeout_s, _POLL_S))
-
     def close(self) -> None:
         """End the thread and wait for it, at most 2 s."""
         self._stop.set()
@@ -173,11 +167,7 @@ class ThreadedReceiver:
             self._thread = None
 
 
-MessageSource = PolledSource | ThreadedReceiver
-"""Source of received messages in their order, each with its monotonic time."""
-
-
-def message_source(bus: can.BusABC, clock: Clock) -> MessageSource:
+def message_source(bus: can.BusABC, clock: Clock) -> PolledSource:
     """Return what receives the messages of a bus.
 
     It is a thread in real time, and the caller who polls under the clock of a simulated bus.

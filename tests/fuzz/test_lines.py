@@ -216,7 +216,7 @@ streams = st.lists(data_lines | st.sampled_from(REPLIES), min_size=1, max_size=5
 def terminal() -> Iterator[tuple[int, BulkSlcanBus]]:
     """The adapter's end of a pseudo-terminal, and the driver behind the other."""
     master, slave = os.openpty()
-    bus = BulkSlcanBus(os.ttyname(slave), bitrate=1_000_000, tty_baudrate=1_000_000)
+    bus = BulkSlcanBus(os.ttyname(slave), bitrate=1_000_000)
     os.set_blocking(master, False)
     try:
         yield master, bus
