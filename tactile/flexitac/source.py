@@ -12,7 +12,7 @@ import numpy as np
 
 from tactile.board_source import Board, PolledBoards
 from tactile.errors import LayoutError
-from tactile.flexitac.stream import PERIOD_S, BoardFrame, FrameStream, Profile
+from tactile.flexitac.stream import PERIOD_S, FrameStream, Profile
 from tactile.layout import TaxelLayout
 from tactile.source import FrameStatistics, TactileFrame
 
@@ -75,22 +75,22 @@ class _Board(Board):
         if self.stream.torn > torn:
             statistics.torn += 1
             self.sound.append(False)
-        for frame in frames:
-            self._take(frame, statistics)
+        for t_s, samples in frames:
+            self._take(t_s, samples, statistics)
 
-    def _take(self, frame: BoardFrame, statistics: FrameStatistics) -> None:
-        same = frame.samples == self._samples
+    def _take(self, t_s: float, samples: bytes, statistics: FrameStatistics) -> None:
+        same = samples == self._samples
         lively = sum(self._changes) >= _LIVELY_SHARE * _LIVELY_FRAMES
         # A pad at an end of its scale, or without supply, has no noise.
-        self._repeated = same and lively and len(set(frame.samples)) > 1
+        self._repeated = same and lively and len(set(samples)) > 1
         if self._repeated:
             statistics.duplicate += 1
             return
         self._changes.append(not same)
-        self._samples = frame.samples
-        matrix = np.frombuffer(frame.samples, dtype=np.uint8).reshape(self._shape)
+        self._samples = samples
+        matrix = np.frombuffer(samples, dtype=np.uint8).reshape(self._shape)
         pad = (matrix if self._rows_along else matrix.T).astype(np.uint16).ravel()
-        self.saw(frame.t_s, frame.t_s, pad)
+        self.saw(t_s, t_s, pad)
 
 
 def check_layout(layout: TaxelLayout, profile: Profile, *, rows_along: bool) -> None:

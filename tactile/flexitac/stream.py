@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
+import numpy as np
+
 HEADER = b"\xaa\x55"
 BAUD_RATE = 2_000_000
 """Line rate in bit/s (package ``flexitac`` 0.3.1)."""
@@ -41,14 +43,9 @@ PROFILES: Mapping[str, Profile] = MappingProxyType(
 """The sizes of available boards."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BoardFrame:
-    """One whole frame of a board."""
-
-    t_s: float
-    """Monotonic time in s at which its last byte was found."""
-    samples: bytes
-    """One byte for each taxel, row by row."""
+BoardFrame = tuple[float, bytes]
+"""One whole frame of a board: monotonic time in s at which its last byte was found, and one byte
+for each taxel, row by row."""
 
 
 class FrameStream:
@@ -93,10 +90,7 @@ class FrameStream:
             del self._bytes[: self._size]
             self._begun_s = now_s
         last = len(frames) - 1
-        return [
-            BoardFrame(t_s=now_s - (last - number) * PERIOD_S, samples=samples)
-            for number, samples in enumerate(frames)
-        ]
+        return [(now_s - (last - n) * PERIOD_S, samples) for n, samples in enumerate(frames)]
 
     def _find_lock(self, now_s: float) -> None:
         """Lock if exactly one offset has a header in each of several frames."""
@@ -131,9 +125,6 @@ class FrameStream:
 
 def _offsets(data: bytearray, size: int, n_frames: int) -> list[int]:
     """Return each offset below ``size`` with a header in all of ``n_frames`` frames."""
-    offsets, offset = [], data.find(HEADER)
-    while 0 <= offset < size:
-        if all(data.startswith(HEADER, offset + n * size) for n in range(1, n_frames)):
-            offsets.append(offset)
-        offset = data.find(HEADER, offset + 1)
-    return offsets
+    at = np.frombuffer(data, np.uint8, n_frames * size + 1)
+    headers = (at[:-1] == HEADER[0]) & (at[1:] == HEADER[1])
+    return np.flatnonzero(headers.reshape(n_frames, size).all(axis=0)).tolist()

@@ -65,7 +65,7 @@ def test_the_foreign_package_and_our_reader_agree_frame_by_frame(profile, tmp_pa
         for _ in range(60):
             clock.sleep(0.005)
             ours += stream.feed(board.transmit(clock.monotonic()), clock.monotonic())
-        mine = np.mean([np.frombuffer(one.samples, np.uint8) for one in ours], axis=0)
+        mine = np.mean([np.frombuffer(samples, np.uint8) for _, samples in ours], axis=0)
         np.testing.assert_allclose(mine, np.mean(theirs, axis=0).ravel(), atol=1.5)
 
 

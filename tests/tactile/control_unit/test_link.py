@@ -12,6 +12,7 @@ import can
 import numpy as np
 import pytest
 
+import motion.object_dictionary
 from simulator.can.control_unit import ControlUnitSettings
 from simulator.can.wire import mean_bits
 from tactile.control_unit import object_dictionary as od
@@ -470,10 +471,11 @@ def test_node_id_out_of_range_is_refused(idle, node_id) -> None:
 # --- the EDS by an independent checker, the load of the bus, texts --------------------------------
 
 
-def test_dcfchk_finds_nothing() -> None:
+@pytest.mark.parametrize("eds", [od.EDS_PATH, motion.object_dictionary.EDS_PATH])
+def test_dcfchk_finds_nothing(eds) -> None:
     checker = Path(sys.executable).with_name("dcfchk")
     done = subprocess.run(
-        [checker, "-n", "5", od.EDS_PATH], capture_output=True, text=True, check=False, timeout=30
+        [checker, "-n", "5", eds], capture_output=True, text=True, check=False, timeout=30
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 

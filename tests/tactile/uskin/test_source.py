@@ -82,7 +82,7 @@ def test_a_press_shows_at_its_place_on_its_pad(ids: list[BoardIds], *, falling: 
 
 
 def test_frames_come_at_the_rate_of_the_boards_and_in_the_mounted_order(cell) -> None:
-    mounts = [PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0)]
+    mounts = [PadMount(pad=0, sent_as=1, rows_mirrored=True), PadMount(pad=1, sent_as=0)]
     source = make_source(cell, [xr1944(1), xr1944(2)], mounts=mounts)
     source.start()
     frames = run(cell, source, 1.0)
@@ -91,8 +91,10 @@ def test_frames_come_at_the_rate_of_the_boards_and_in_the_mounted_order(cell) ->
     assert source.statistics.frames.torn == source.statistics.foreign == 0
     for one in frames:
         np.testing.assert_allclose(one.extra, np.full((32, 2), 0x7E31), atol=100)
-    cell.world.press(1, 0.0, 0.0, 8.0)  # type: ignore[union-attr]
-    assert int(np.argmax(run(cell, source, 0.1)[-1].counts)) < 16
+    cell.world.press(1, 0.007, 0.002, 8.0)  # type: ignore[union-attr]
+    taxel = int(np.argmax(run(cell, source, 0.1)[-1].counts))
+    assert LAYOUT.taxel_pad[taxel] == 0
+    assert LAYOUT.taxel_xy_m[taxel] == pytest.approx((-0.007, 0.002), abs=0.003)
 
 
 @pytest.mark.slow
