@@ -41,7 +41,7 @@ from tactile.errors import (
 )
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat
-from tactile.frames.force_message import ForceLaw, encode_zero, force_table
+from tactile.frames.force_message import encode_zero
 from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.source import (
     Arrivals,
@@ -119,8 +119,10 @@ class TactileLink:
         An open bus.
     node_id
         CANopen node-ID of the unit, 1 to 127.
-    force_law
-        Counts to forces for the unit's sum of the force; None: no force messages.
+    clock
+        Monotonic time; by default that of a simulated bus, else the module ``time``.
+    force_table
+        Object 0x2141, the table for the unit's sum of the force; None: no force messages.
     reopen
         Opens a lost bus again; without it a lost bus stays lost.
     """
@@ -131,8 +133,9 @@ class TactileLink:
         *,
         node_id: int,
         layout: TaxelLayout,
+        clock: Clock | None = None,
         settings: LinkSettings | None = None,
-        force_law: ForceLaw | None = None,
+        force_table: bytes | None = None,
         reopen: Callable[[], can.BusABC] | None = None,
     ) -> None:
         if not 1 <= node_id <= 127:
@@ -141,14 +144,13 @@ class TactileLink:
         self._bus, self._reopen, self._node_id = bus, reopen, node_id
         self.layout = layout
         """The taxels of the unit."""
-        # A simulated bus has the time of its devices.
-        self._clock: Clock = getattr(bus, "clock", time)
+        self._clock: Clock = getattr(bus, "clock", time) if clock is None else clock
         self.settings = settings or LinkSettings()
         """Periods and limits."""
         self._mounting = Mounting(layout, self.settings.mounts)
         # The unit's sums are valid only for the gripping pads in their mounting.
         sums = self.settings.force_period_s and self._mounting.unit_can_sum
-        self._force_table = force_table(layout, force_law) if sums and force_law else None
+        self._force_table = force_table if sums else None
         self._source = message_source(self._bus, self._clock)
         self._running = False
         self.fault: LinkFault | None = None

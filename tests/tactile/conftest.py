@@ -14,7 +14,6 @@ from simulator.clock import VirtualClock
 from tactile.control_unit.node import TactileLink
 from tactile.control_unit.settings import LinkSettings
 from tactile.errors import LinkFault
-from tactile.frames.force_message import ForceLaw
 from tactile.layout import TaxelLayout, paper_layout
 from tactile.sensor.calibration import Calibration
 from tactile.source import ForceMessage, FrameSource, TactileFrame
@@ -57,7 +56,7 @@ class Bench:
         layout: TaxelLayout,
         *,
         unit: ControlUnitSettings | None = None,
-        law: ForceLaw | None = None,
+        table: bytes | None = None,
         **settings: object,
     ) -> None:
         self.clock = VirtualClock(100.0)
@@ -71,7 +70,7 @@ class Bench:
             node_id=NODE,
             layout=layout,
             settings=LinkSettings(**settings),  # type: ignore[arg-type]
-            force_law=law,
+            force_table=table,
         )
         self.clock.sleep(BOOT_S)
 

@@ -23,15 +23,14 @@ from tactile.source import ForceMessage, ForceStatus, PadZero
 from tests.tactile.conftest import Bench
 
 LAYOUT = paper_layout()
-LAW = FoamCalibration(255).force_n
-TABLE = force_table(LAYOUT, LAW)
+TABLE = force_table(LAYOUT, FoamCalibration(255).force_n)
 ZERO = PadZero(offset_counts=np.zeros(128), touch_counts=4.0, bad=np.zeros(128, dtype=np.bool_))
 
 
 @pytest.fixture
 def make_forces(make_bench: Callable[..., Bench]) -> Callable[..., Bench]:
     """Return what makes a bench whose unit sends its force each 3 ms."""
-    return partial(make_bench, law=LAW, force_period_s=0.003)
+    return partial(make_bench, table=TABLE, force_period_s=0.003)
 
 
 def started(bench: Bench) -> Bench:
