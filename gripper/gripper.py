@@ -36,7 +36,7 @@ from gripper.force.loop import LoopRunner, Running
 from gripper.force.ramp import ForceRamp, check_ramp, largest_ramp_n
 from gripper.force.timing import LoopStatistics
 from gripper.lifecycle import Lifecycle, bus_is_lost
-from gripper.mechanics.kinematics import Linkage, OneFinger, ParallelLinkage
+from gripper.mechanics.kinematics import Linkage, ParallelLinkage
 from gripper.servos.goal_limits import OPENING_MARGIN_RAD
 from gripper.servos.group import Servos
 from gripper.servos.watchdog_proof import prove_watchdog
@@ -635,7 +635,7 @@ class Gripper:
         index = self._ids.index(servo_id)
         self._one = one = Gripper(
             self.bus,
-            OneFinger(linkage=self._linkage, index=index),
+            self._linkage.of_one_finger(),
             replace(self.settings, servos=(self.settings.servos[index],)),
             clock=self._clock,
             force_sensor=self._sensor,

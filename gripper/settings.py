@@ -49,7 +49,7 @@ def check_number(
     return value
 
 
-def _check_settings(settings: Any) -> None:
+def check_settings(settings: Any) -> None:
     """Check every declared number of a settings object; raises LimitExceeded."""
     for one in fields(settings):
         if "low" in one.metadata and (value := getattr(settings, one.name)) is not None:
@@ -85,7 +85,7 @@ class ServoSettings:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "servo_model", require_current_control(self.model))
-        _check_settings(self)
+        check_settings(self)
         drive = self.measured or DriveCharacteristic.catalogue(self.servo_model)
         object.__setattr__(self, "drive", drive)
         if not 0 <= self.servo_id <= 252:
@@ -201,7 +201,7 @@ class GripperSettings:
         ids = [servo.servo_id for servo in self.servos]
         if len(ids) not in (1, 2) or len(set(ids)) != len(ids):
             raise LimitExceeded(f"servos have the IDs {ids}, must be one or two different IDs")
-        _check_settings(self)
+        check_settings(self)
         check_number("aperture_min_m", self.aperture_min_m, high=self.aperture_open_m)
         check_number("aperture_pressed_m", self.least_pressed_m, high=self.aperture_min_m)
         for servo in self.servos:

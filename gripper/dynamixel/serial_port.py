@@ -4,15 +4,12 @@ A read blocks until a byte arrives; the SDK's own port polls.
 """
 
 import errno
-import fcntl
-import hashlib
 import os
 import select
-import tempfile
 import termios
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn, Protocol
 
@@ -84,32 +81,10 @@ def latency_timer_ms(path: str) -> int | None:
         return None
 
 
-def lock_device(device: str) -> int:
-    """Return the descriptor of the lock file of a device, which excludes a second program.
-
-    The operating system releases the lock when the program ends. Raises OSError if it is taken.
-    """
-    digest = hashlib.sha256(device.encode()).hexdigest()[:16]
-    path = Path(tempfile.gettempdir()) / f"serial-port-{digest}.lock"
-    flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW
-    try:
-        # Without O_CREAT the file of another user can be opened, too.
-        lock_fd = os.open(path, flags)
-    except FileNotFoundError:
-        lock_fd = os.open(path, flags | os.O_CREAT, 0o644)
-    try:
-        fcntl.flock(lock_fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BaseException:
-        os.close(lock_fd)
-        raise
-    return lock_fd
-
-
 class SerialStream:
-    """A serial port of the operating system for one program.
+    """A serial port of the operating system for one program, which a lock of its file excludes.
 
-    Beside the exclusive mode of the port a lock file excludes a second program, even with the
-    rights of an administrator. Raises PortLost when the port is missing, used or not permitted; the
+    Raises PortLost when the port is missing, used or not permitted; the
     message names the remedy. Raises LimitExceeded when servos do not support the baud rate.
 
     Parameters
@@ -127,32 +102,22 @@ class SerialStream:
             )
         self.path = path
         try:
-            with ExitStack() as opened:
-                # The lock follows the device, not the link that names it.
-                device = os.path.realpath(path, strict=True)
-                opened.callback(os.close, lock_device(device))
-                self._serial = serial.Serial(path, baudrate, timeout=0, exclusive=True)
-                self._unlock = opened.pop_all().close
+            self._serial = serial.Serial(
+                path, baudrate, timeout=0, write_timeout=_WRITE_TIMEOUT_S, exclusive=True
+            )
         except _PORT_ERRORS as error:
             raise PortLost(_opening_failed(path, error)) from error
-        self._request_low_latency()
+        # The driver hands bytes on at once; not every driver can.
+        with suppress(ValueError, AttributeError, NotImplementedError, *_PORT_ERRORS):
+            self._serial.set_low_latency_mode(True)
 
     def __str__(self) -> str:
         return self.path
 
     def write(self, data: bytes, /) -> None:
-        """Send all bytes; PortLost when the line is gone, or takes no more for 0.1 s.
-
-        pyserial's own method waits after each write, without an end, until it could write again.
-        """
+        """Send all bytes; PortLost when the line is gone, or takes them for more than 0.1 s."""
         try:
-            while True:
-                with suppress(BlockingIOError):
-                    data = data[os.write(self._serial.fileno(), data) :]
-                if not data:
-                    return
-                if not select.select([], [self._serial.fileno()], [], _WRITE_TIMEOUT_S)[1]:
-                    raise self._lost("it takes no data")
+            self._serial.write(data)
         except _PORT_ERRORS as error:
             raise self._lost(error) from error
 
@@ -178,18 +143,8 @@ class SerialStream:
 
     def close(self) -> None:
         """Give the port back; a port that is gone is closed without an error."""
-        try:
+        with suppress(*_PORT_ERRORS):
             self._serial.close()
-        except _PORT_ERRORS:
-            # The device has vanished: nothing is left to close.
-            pass
-        finally:
-            self._unlock()
-
-    def _request_low_latency(self) -> None:
-        """Ask the driver to hand bytes on at once; not every driver can."""
-        with suppress(ValueError, AttributeError, NotImplementedError, *_PORT_ERRORS):
-            self._serial.set_low_latency_mode(True)
 
     def _lost(self, cause: object) -> PortLost:
         return PortLost(

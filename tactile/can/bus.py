@@ -33,8 +33,8 @@ CanBus = can.BusABC
 
 _NODE_BITS = 0x07F
 """Bits of the node-ID in a COB-ID (CiA 301, 7.3.5)."""
-_SHARED = ("virtual",)
-"""Interfaces in one program, which need no lock."""
+_UNLOCKED = ("virtual", "slcan")
+"""Interfaces without a lock file: in one program, or on a serial port, which its driver locks."""
 _SEND_TIMEOUT_S = 0.1
 """Longest wait in s until an adapter accepts a message: five frame periods at 50 Hz."""
 _LONGEST_LINE = 32
@@ -77,25 +77,16 @@ class MissingBus(can.BusABC):
 
 @contextmanager
 def bus_lock(interface: str, channel: str) -> Iterator[None]:
-    """Hold the lock file of a CAN interface or of its adapter's port: one program at a time.
+    """Hold the lock file of a CAN interface: one program at a time. A serial port has its own lock.
 
-    The exclusive mode of a serial port does not exclude a program with administrator rights, and a
-    CAN interface of the system has no such mode. Without the lock two programs could command one
-    control unit. The operating system releases the lock when the program ends.
-
-    Raises
-    ------
-    OSError
-        BlockingIOError if another program holds it; FileNotFoundError for a missing serial port.
+    Without it two programs could command one control unit. The operating system releases the lock
+    when the program ends. Raises BlockingIOError if another program holds it.
     """
-    if interface in _SHARED:
+    if interface in _UNLOCKED:
         yield
         return
-    # The lock is for the device, not for a link to it, as for servo ports.
-    is_port = interface == "slcan"
-    name = os.path.realpath(channel, strict=True) if is_port else f"{interface} {channel}"
-    digest = hashlib.sha256(name.encode()).hexdigest()[:16]
-    handle = _open_lock_file(Path(tempfile.gettempdir()) / f"serial-port-{digest}.lock")
+    digest = hashlib.sha256(f"{interface} {channel}".encode()).hexdigest()[:16]
+    handle = _open_lock_file(Path(tempfile.gettempdir()) / f"can-{digest}.lock")
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield

@@ -43,7 +43,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from gripper.errors import GripperError, LimitExceeded, MechanicsContradicted
-from gripper.mechanics.kinematics import Linkage, OneFinger
+from gripper.mechanics.kinematics import Linkage
 from gripper.servos.goal_limits import BEYOND_MIDDLE_M
 from gripper.servos.plausibility import BEYOND_CLOSED_M
 from gripper.settings import GripperSettings
@@ -92,8 +92,8 @@ def standing_rows(
         Present Position of each servo (register 132).
     """
     halves_m: list[float | None] = []
-    for index, (servo, raw) in enumerate(zip(settings.servos, positions_raw, strict=True)):
-        halves_m.append(_half_m(linkage, index, servo.angle_rad(raw, servo.turns(raw))))
+    for servo, raw in zip(settings.servos, positions_raw, strict=True):
+        halves_m.append(_half_m(linkage, servo.angle_rad(raw, servo.turns(raw))))
     opening_m = sum(half_m for half_m in halves_m if half_m is not None) * (2.0 / len(halves_m))
     closed = opening_m < -BEYOND_CLOSED_M
     rows = []
@@ -118,13 +118,13 @@ def standing_rows(
     return tuple(rows)
 
 
-def _half_m(linkage: Linkage, index: int, angle_rad: float) -> float | None:
+def _half_m(linkage: Linkage, angle_rad: float) -> float | None:
     """Return the distance of a finger from the middle in m; None beyond its dead centre."""
     try:
         linkage.opening_per_rad_m(angle_rad)
     except LimitExceeded:
         return None
-    return 0.5 * OneFinger(linkage=linkage, index=index).aperture_m((angle_rad,))
+    return 0.5 * linkage.of_one_finger().aperture_m((angle_rad,))
 
 
 def meeting_settings(settings: GripperSettings) -> GripperSettings:
