@@ -16,7 +16,6 @@ from gripper.errors import LimitExceeded
 from gripper.settings import GripperSettings, check_settings, setting
 from gripper.values.state import ServoFeedback
 
-
 _FRICTION_RESERVE = 1.2
 """Friction at rest over friction in motion, which a finger must overcome to move. [assumed]"""
 MOST_FRICTION = 1.6
