@@ -33,6 +33,8 @@ OPERATORS = (
     *("ReplaceOrWithAnd", "NumberReplacer", "ZeroIterationForLoop"),
 )
 """Operators of cosmic-ray; those that only make a TypeError are left out."""
+_NOT_RUN = (4, 5)
+"""Exit statuses of pytest for names of tests that it does not find."""
 PYTEST = ("-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--timeout=300", "-n", "0")
 
 
@@ -90,6 +92,8 @@ def verdict(mutant: dict[str, Any], tests: list[str], limit_s: float, copy: Path
                 )
             except subprocess.TimeoutExpired:
                 return f"survived {limit_s:.0f} s"
+            if ran.returncode in _NOT_RUN:
+                raise SystemExit(f"the tests cannot run: {(ran.stderr + ran.stdout)[-500:]}")
             if ran.returncode != 0:
                 # A module that cannot be imported ends pytest with text on the other stream.
                 lines = (ran.stderr + ran.stdout).splitlines() or [f"exit status {ran.returncode}"]
