@@ -127,20 +127,20 @@ def trial(
     """Grasp once with a config that is drawn, some values changed and some faults of the pads."""
     draw = random.Random(-seed)
     drawn = drawn_changes(seed) | dict(changes or {})
-    found = CapTrial(seed, draw.choice(tuple(_PARTS)), harm, float(drawn["gripper.force_max_n"]))
+    result = CapTrial(seed, draw.choice(tuple(_PARTS)), harm, float(drawn["gripper.force_max_n"]))
     try:
         config = changed_config(CellConfig(), drawn)
     except CellError as error:
-        return found._replace(error=str(error), refused=True)
+        return result._replace(error=str(error), refused=True)
     with simulation_of(config) as simulated:
         for motor in simulated.devices.mechanics.motors:
             motor.kt_factor = 1.0 + draw.uniform(-_KT_ERROR, _KT_ERROR)
             motor.friction_factor = 1.0 + draw.uniform(-_FRICTION_ERROR, _FRICTION_ERROR)
 
         def look(_now_s: float) -> None:
-            nonlocal found
-            if (true_n := max(simulated.world.contact_force_n())) > found.true_n:
-                found = found._replace(true_n=true_n, phase=cell.controller.hand.phase.value)
+            nonlocal result
+            if (true_n := max(simulated.world.contact_force_n())) > result.true_n:
+                result = result._replace(true_n=true_n, phase=cell.controller.hand.phase.value)
 
         simulated.clock.on_advance.append(look)
         for fault in harm:
@@ -148,11 +148,11 @@ def trial(
         with closing(build_cell(config, simulated=simulated)) as cell:
             try:
                 cell.controller.start()
-                cell.controller.moves.present(found.part)
+                cell.controller.moves.present(result.part)
                 cell.controller.grasp(GraspStep(pose=Pose(), force_n=config.sequence.forces_n[1]))
             except (CellError, GripperError, TactileError) as error:
-                found = found._replace(error=f"{type(error).__name__}: {error}")
-    return found
+                result = result._replace(error=f"{type(error).__name__}: {error}")
+    return result
 
 
 def _drawn_trial(seed: int) -> CapTrial:
@@ -162,8 +162,8 @@ def _drawn_trial(seed: int) -> CapTrial:
 def main(effort: float = 1.0) -> None:
     n = repeats(500, effort, least=5)
     with ProcessPoolExecutor() as workers:
-        found = list(workers.map(_drawn_trial, range(_FIRST_SEED, _FIRST_SEED + n)))
-    gripped = [one for one in found if not one.refused]
+        trials = list(workers.map(_drawn_trial, range(_FIRST_SEED, _FIRST_SEED + n)))
+    gripped = [one for one in trials if not one.refused]
     broken = sorted((one for one in gripped if one.broken), key=lambda one: one.cap_n - one.true_n)
     errors = [one.error for one in gripped if one.error]
     above = sum(error.startswith(ForceAboveCap.__name__) for error in errors)

@@ -74,14 +74,16 @@ def read_logs(path: Path) -> list[Log]:
     """Return the servos of one file. Raises BadLog, with the file and the cause."""
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            found = {name: file[name] for name in file.files}
-        if "meta" in found:
-            logs = [_pendulum(path.stem, found, json.loads(str(found["meta"][()])))]
+            arrays = {name: file[name] for name in file.files}
+        if "meta" in arrays:
+            logs = [_pendulum(path.stem, arrays, json.loads(str(arrays["meta"][()])))]
         else:
-            joints = sorted(n[1:] for n in found if n[:1] == "q" and n[1:].isdecimal())
+            joints = sorted(n[1:] for n in arrays if n[:1] == "q" and n[1:].isdecimal())
             model, stem = _model(path.stem, XM430_W350.name), path.stem
             logs = [
-                Log(f"{stem} {joint}", model, found["t"], found[f"q{joint}"], found[f"dq{joint}"])
+                Log(
+                    f"{stem} {joint}", model, arrays["t"], arrays[f"q{joint}"], arrays[f"dq{joint}"]
+                )
                 for joint in joints or ["1"]
             ]
         for log in logs:
@@ -106,17 +108,17 @@ def _model(stem: str, motor: str) -> ServoModel:
     raise ValueError(f"neither its name nor motor {motor!r} is one of {', '.join(MODELS)}")
 
 
-def _pendulum(stem: str, found: dict[str, Array], meta: dict[str, Any]) -> Log:
-    raw, mass, length = found["load"], meta.get("mass", 0.0), meta.get("length", 0.0)
+def _pendulum(stem: str, arrays: dict[str, Array], meta: dict[str, Any]) -> Log:
+    raw, mass, length = arrays["load"], meta.get("mass", 0.0), meta.get("length", 0.0)
     slow = meta.get("trajectory") == "up_and_down"
     return Log(
         stem,
         _model(stem, str(meta["motor"])),
-        *(found[name] for name in ("timestamp", "position", "speed")),
-        goal_rad=np.where(found["torque_enable"] > 0, found["goal_position"], np.nan),
+        *(arrays[name] for name in ("timestamp", "position", "speed")),
+        goal_rad=np.where(arrays["torque_enable"] > 0, arrays["goal_position"], np.nan),
         pwm_raw=np.where(raw > 0x7FFF, raw - 0x10000, raw),
         p_gain=int(meta["kp"]),
-        supply_v=float(np.median(found["input_volts"])),
+        supply_v=float(np.median(arrays["input_volts"])),
         torque_nm=_GRAVITY_M_S2 * mass * length if slow else 0.0,
         inertia_kg_m2=mass * length**2,
     )
@@ -146,7 +148,7 @@ class Bench:
         speeds_rad_s = np.diff(turned_rad, append=turned_rad[-1:]) / _STEP_S
         sample = np.minimum(np.searchsorted(log.time_s, grid_s), len(log.time_s) - 1)
         at = np.clip(np.searchsorted(grid_s, log.time_s, side="right") - 1, 0, None)
-        read, found = set(at.tolist()), np.zeros((2, len(grid_s)))
+        read, simulated = set(at.tolist()), np.zeros((2, len(grid_s)))
         for i in range(len(grid_s)):
             if log.goal_rad is not None:
                 self._command(float(log.goal_rad[sample[i]]))
@@ -158,9 +160,9 @@ class Bench:
                 motor.torque_nm(_STEP_S)
             if i in read:
                 core.refresh(i * _STEP_S)
-                found[0, i] = core.registers.get("present_velocity")
-                found[1, i] = core.registers.get("present_pwm")
-        return found[0, at] * log.model.velocity_unit_rad_s, found[1, at]
+                simulated[0, i] = core.registers.get("present_velocity")
+                simulated[1, i] = core.registers.get("present_pwm")
+        return simulated[0, at] * log.model.velocity_unit_rad_s, simulated[1, at]
 
     def _command(self, goal_rad: float) -> None:
         on, model = not math.isnan(goal_rad), self._log.model
@@ -254,8 +256,8 @@ def main(effort: float = 1.0, folder: str | None = None) -> None:
         except BadLog as error:
             outside += 1
             line(path.name, f"ERROR {error}")
-    for name, found in squares.items():
-        row = Row("velocity of all", math.sqrt(np.mean(found)), SPEED_RMS_RAD_S[name], "rad/s")
+    for name, squared in squares.items():
+        row = Row("velocity of all", math.sqrt(np.mean(squared)), SPEED_RMS_RAD_S[name], "rad/s")
         outside += not row.met
         line(name, str(row))
     if outside:

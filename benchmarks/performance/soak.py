@@ -82,11 +82,11 @@ def judge(samples: Sequence[ResourceUse], limits: Mapping[str, float]) -> list[s
     The slope is the median over all pairs (Theil and Sen), which single steps of the allocator do
     not change.
     """
-    kept = samples[int(_WARM_UP * len(samples)) :]
+    warm = samples[int(_WARM_UP * len(samples)) :]
     bad = []
     for name, limit in limits.items():
-        values = [sample[name] for sample in kept]
-        slope = float(theilslopes(values, [sample["done"] for sample in kept]).slope)
+        values = [sample[name] for sample in warm]
+        slope = float(theilslopes(values, [sample["done"] for sample in warm]).slope)
         text = f"{name} grow by {slope:.4f} each, allowed are {limit:g}"
         line("", f"{text}: {values[0]:.0f} to {values[-1]:.0f}, {max(values):.0f} at most")
         bad += [text] if slope > limit else []

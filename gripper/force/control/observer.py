@@ -100,8 +100,8 @@ class GripObserver:
             return 0.0
         push_n, (closing_n, opening_n) = drive_n - self.missing_n - self.force_n, frictions_n
         braked_n = push_n - (closing_n if self.speed_m_s > 0.0 else -opening_n)
-        kept, gain_m_s_n = self._step(dt_s)
-        after_m_s = kept * self.speed_m_s + gain_m_s_n * braked_n
+        share, gain_m_s_n = self._step(dt_s)
+        after_m_s = share * self.speed_m_s + gain_m_s_n * braked_n
         return after_m_s if after_m_s * self.speed_m_s > 0.0 else 0.0
 
     def _step(self, dt_s: float) -> tuple[float, float]:
@@ -120,9 +120,9 @@ class GripObserver:
         self.force_n = max(0.0, self.force_n + stiffness * way_m)
         self._way_m += way_m
         if before_m_s != 0.0 or self.speed_m_s != 0.0:
-            f, (kept, gain_m_s_n) = np.eye(4), self._step(dt_s)
-            f[1] = -gain_m_s_n, kept, -gain_m_s_n, 0.0
-            way = 0.5 * dt_s * np.array((-gain_m_s_n, 1.0 + kept, -gain_m_s_n, 0.0))
+            f, (share, gain_m_s_n) = np.eye(4), self._step(dt_s)
+            f[1] = -gain_m_s_n, share, -gain_m_s_n, 0.0
+            way = 0.5 * dt_s * np.array((-gain_m_s_n, 1.0 + share, -gain_m_s_n, 0.0))
             f[0] += stiffness * way
             f[3] += way
             self._p = f @ self._p @ f.T
