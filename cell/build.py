@@ -29,11 +29,10 @@ from cell.control.positioner import (
 from cell.control.records import pad_array
 from cell.control.self_zero import kept_zeros
 from cell.errors import CellStateError, ConfigError, RecordingError
-from cell.hand.build import SHARED_PROCESS, make_hand, open_hand
 from cell.hand.client import HandProcess
 from cell.hand.connections import MISSING, HandConnections
 from cell.hand.interface import Hand
-from cell.hand.local import LocalHand
+from cell.hand.local import SHARED_PROCESS, LocalHand, open_hand
 from cell.recording.recorder import Recorder
 from cell.recording.retention import Retention
 from cell.simulation import (
@@ -293,7 +292,7 @@ def _hand(config: CellConfig, simulated: SimulatedCell | None, *, partial: bool)
             functools.partial(simulated.open_board, n) for n in range(len(simulated.board_streams))
         ],
     )
-    return make_hand(config, lines, clock=simulated.clock)
+    return LocalHand(config, lines, clock=simulated.clock)
 
 
 def _positioner(

@@ -19,10 +19,10 @@ from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.config.sequence import ramp_from_config
 from cell.control.self_zero import drive_text, homing_offsets, kept_zeros, part_between
-from cell.hand.build import make_hand
 from cell.hand.client import HandProcess
 from cell.hand.connections import HandConnections
 from cell.hand.interface import Hand
+from cell.hand.local import LocalHand
 from gripper.errors import GraspStopped, GripperError
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.identification import weighed
@@ -399,7 +399,7 @@ def _opened(bench: Bench, config: CellConfig) -> Hand:
         ),
         open_boards=bench.board_openers(tactile),
     )
-    return make_hand(config, lines, clock=bench.clock)
+    return LocalHand(config, lines, clock=bench.clock)
 
 
 def _start_free(hand: Hand, dialog: Dialog) -> VerificationReport:

@@ -20,7 +20,7 @@ from cell.commissioning.unit import unit_sensor
 from cell.config.model import CellConfig
 from cell.config.tactile import LinearCalibrationConfig, TableCalibrationConfig, TactileConfig
 from cell.errors import ConfigError
-from cell.hand.build import sensor_settings
+from cell.hand.local import sensor_settings
 from tactile.control_unit.node import Mounting
 from tactile.errors import TareRefused
 from tactile.layout import PadMount, TaxelLayout

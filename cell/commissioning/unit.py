@@ -24,7 +24,7 @@ from cell.config.tactile import (
     link_settings,
     make_calibration,
 )
-from cell.hand.build import frame_source, sensor_settings
+from cell.hand.local import frame_source, sensor_settings
 from tactile.can.bus import CanBus, MissingBus
 from tactile.control_unit.search import (
     BusTraffic,

@@ -1,32 +1,36 @@
 """The controller of a cell: runs grasp-then-classify sequences, latches faults, shuts down."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from math import inf
 from typing import TypeVar
 
 from cell.config.model import CellConfig
-from cell.control.early_end import EarlyDecider
-from cell.control.grasping import NOTHING_HELD, Grasper
-from cell.control.identification import Identification, Judge, OnGrasp, ReadShape
+from cell.config.sequence import ramp_from_config
+from cell.control.identification import EarlyDecider, Identification, Judge, OnGrasp, ReadShape
 from cell.control.journal import Journal
-from cell.control.kept_part import KeptPart
+from cell.control.kept_part import KeptPart, open_counts
 from cell.control.lifecycle import UNTIL_RELEASED, CellLifecycle
 from cell.control.live import LiveValues, live_values
 from cell.control.moves import Moves
 from cell.control.plan import GraspStep, Keep, Pose
 from cell.control.positioner import PatientCaller, Positioner, in_thread
-from cell.control.records import GraspRecord, pad_array
+from cell.control.records import GraspRecord, pad_array, spliced
 from cell.control.self_zero import SelfZeros, homing_offsets
 from cell.control.states import CellState, Command, Event
 from cell.control.watch import MotionWatch
-from cell.control.zeroing import Zeroing
-from cell.errors import NoPartFound, PartInGrip, PlanRefused
+from cell.control.zeroing import BORNE_SHARE, Zeroing
+from cell.errors import NoPartFound, PartInGrip, PlanRefused, raised_as
 from cell.hand.interface import FORCE_FROM_FRAMES, Hand, LatestValues
+from cell.recording.grasp_limits import check_text
 from cell.recording.recorder import Recorder
 from gripper.clock import Clock
+from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult, ReleaseReport
-from gripper.values.state import GripperPhase
+from gripper.values.state import Cycle, GripperPhase
 from recognition.grasp import CELL_SOURCE
 from recognition.recognizer import Recognizer
+from tactile.source import TactileFrame
 
 _T = TypeVar("_T")
 _UNSUPERVISED = (
@@ -37,6 +41,21 @@ _UNSUPERVISED = (
     CellState.RESETTING,
 )
 """States in which nothing reads the hand, so there are no measurements."""
+
+NOTHING_HELD = {
+    GraspResult.NO_CONTACT: "no contact",
+    GraspResult.PART_LOST: "the part was lost while the fingers pressed",
+}
+"""Results of a grasp that holds nothing and cannot be used for recognition."""
+
+
+BACK_OFF_SHARE = 0.3
+"""Start of a further ramp in the same grip, as a share of its end: the lowest level of load at
+which a recognizer takes footprints (`recognition.ramp.levels`)."""
+
+LEAST_CONTACTS = 2.0
+"""Least start of a further ramp, in contact forces. A part held with one contact force is sometimes
+reported as lost (simulated cell, twice the noise)."""
 
 _CLOSED_M = 0.0005
 """Margin in m above the smallest opening; beyond it the fingers did not close fully."""
@@ -80,16 +99,7 @@ class CellController:
         """Takes the zeros of taxels and fingers, and measures the drives of the servos."""
         self.kept_part = KeptPart(hand, life, journal, watch, config.sequence.carry_force_n)
         """The part that stays in the grip."""
-        self._grasper = Grasper(
-            config=config,
-            hand=hand,
-            life=life,
-            journal=journal,
-            watch=watch,
-            moves=self.moves,
-            zeroing=self.zeroing,
-            kept_part=self.kept_part,
-        )
+        self._catalogue_n, self._noted_n = config.largest_ramp_n, inf
 
     @property
     def live(self) -> LiveValues:
@@ -225,14 +235,10 @@ class CellController:
         if not plan:
             raise PlanRefused("the plan is empty; give at least one step")
         for step in plan:
-            self._grasper.check(step, label)
+            self._check_step(step, label)
 
-    def grasp(
-        self, step: GraspStep, early_checks: EarlyDecider | None = None, *, label: str = ""
-    ) -> GraspRecord:
+    def grasp(self, step: GraspStep, *, label: str = "") -> GraspRecord:
         """Run one grasp: pose, approach, contact, ramp, hold, release.
-
-        With ``early_checks`` the ramp ends as soon as they decide.
 
         Raises
         ------
@@ -245,7 +251,7 @@ class CellController:
             If the step cannot be carried out; nothing has moved, and no fault is latched.
         """
         self.journal.begin()
-        return self._grasp(step, early_checks, label=label)[0]
+        return self._grasp(step, label=label)[0]
 
     def grip(self, force_n: float, pose: Pose | None = None) -> GraspRecord:
         """Close with a force ramp and keep the part: COMPLETE, without a name.
@@ -258,13 +264,17 @@ class CellController:
             As `grasp`.
         """
         self.life.obey_cancel_between()
-        self._grasper.check(GraspStep(pose=Pose(), force_n=force_n))
+        step = GraspStep(pose=pose or Pose(), force_n=force_n)
+        self._check_step(step)
         self.journal.begin()
         with self.life.executing(Event.EXECUTE):
-            record = self._grasper.grip(force_n, pose)
+            reached = step.pose if pose is None else self.moves.move_to(pose)
+            record = self._close(step, reached, "", None)
             if record.outcome.result in NOTHING_HELD:
+                self.hand.release(self._watch.motion)
                 self.life.complete()
             else:
+                self.kept_part.measure(open_counts(record.grasp))
                 self.life.keep(since="grip")
         self._check_record(record)
         return record
@@ -319,17 +329,12 @@ class CellController:
         return in_thread(answer, "answer").result if self.hand.own_process else answer
 
     def _grasp(
-        self,
-        step: GraspStep,
-        early_checks: EarlyDecider | None,
-        judge: Judge | None = None,
-        *,
-        label: str = "",
+        self, step: GraspStep, judge: Judge | None = None, *, label: str = ""
     ) -> tuple[GraspRecord, bool]:
         self.life.obey_cancel_between()
-        self._grasper.check(step, label)
+        self._check_step(step, label)
         with self.life.executing(Event.EXECUTE):
-            record, kept = self._grasper.grasp(step, label, early_checks, judge)
+            record, kept = self._carry_out(step, label, judge)
             if kept:
                 self.life.keep(since="answer")
             else:
@@ -351,6 +356,139 @@ class CellController:
                 f"{missing} at pose {record.step.pose}, at an opening of {1e3 * opening_m:.1f} mm; "
                 f"{why}"
             )
+
+    # -- one grasp -----------------------------------------------------------------------------
+
+    def _check_step(self, step: GraspStep, label: str = "") -> None:
+        """Refuse a step that cannot be carried out, before anything moves.
+
+        Raises PlanRefused if it is not a step or the label is invalid. Raises
+        gripper.errors.LimitExceeded if its force is not a number or beyond a limit.
+        """
+        if not (isinstance(step, GraspStep) and isinstance(step.pose, Pose)):
+            raise PlanRefused(
+                f"{step!r} is not a step of a plan; give GraspStep(pose=..., force_n=...)"
+            )
+        if not isinstance(label, str):
+            raise PlanRefused(f"{label!r} is not a label; give a text")
+        with raised_as(PlanRefused, ValueError):
+            check_text("label", label)
+        self.hand.check_ramp(self._ramp(self._borne(step)))
+
+    def _ramp(self, step: GraspStep) -> ForceRamp:
+        return ramp_from_config(self._config.sequence.ramp, step.force_n)
+
+    def _borne(self, step: GraspStep) -> GraspStep:
+        """Return a step with no more force than the servos, as measured, make of their current."""
+        largest_n, gripper = self.hand.largest_ramp_n, self._config.gripper
+        if not largest_n < step.force_n <= self._catalogue_n:
+            return step
+        borne_n = max(BORNE_SHARE * largest_n, gripper.contact_force_n)
+        if borne_n < BORNE_SHARE * self._noted_n:
+            self._noted_n = borne_n
+            self.journal.note(
+                "note",
+                f"grasps end at {borne_n:.1f} N, {step.force_n:.1f} N were asked for: the servos, "
+                f"as measured, need more than gripper.current_max_a {gripper.current_max_a:g} A "
+                "for more. Raise it where servo and part bear it, or ask for less force",
+            )
+        return replace(step, force_n=borne_n)
+
+    def _carry_out(
+        self, step: GraspStep, label: str, judge: Judge | None = None
+    ) -> tuple[GraspRecord, bool]:
+        """Go to the pose, grasp, record, release; ``judge.early_checks`` may end the ramp.
+
+        If ``judge.holds``, the part is held with the carry force until ``judge`` decides: release,
+        squeeze once more, or keep. Returns the record of the grasp and whether the part was kept.
+        """
+        early_checks = None if judge is None else judge.early_checks
+        record = self._close(step, self.moves.move_to(step.pose), label, early_checks)
+        kept = False
+        if judge is not None and record.outcome.result not in NOTHING_HELD:
+            judge.start_answer(record)
+            kept = judge.holds and self._judged(record, judge)
+        if not kept:
+            self.hand.release(self._watch.motion)
+            self.zeroing.note_drives()
+        return record, kept
+
+    def _close(
+        self, step: GraspStep, reached: Pose, label: str, early_checks: EarlyDecider | None
+    ) -> GraspRecord:
+        """Open, close and follow the ramp; record it, and return while the part is held."""
+        self.zeroing.open()
+        step = self._borne(step)
+        collector, collect = self._watch.collecting(self.zeroing.zeros.newest)
+
+        def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
+            collect(cycle, frames)
+            if early_checks is not None and frames:
+                share = cycle.setpoint_n / step.force_n
+                if early_checks.suffices(share, collector.grasp):
+                    self.hand.end_ramp()
+
+        outcome = self.hand.grasp(self._ramp(step), watch)
+        self.life.result = outcome.result
+        if outcome.result in NOTHING_HELD and not collector.n_frames:
+            self.hand.release(self._watch.motion)
+            raise NoPartFound(
+                f"{NOTHING_HELD[outcome.result]} at {reached}, and the fingers had closed before a "
+                f"frame of the taxels came: open wider, or close more slowly"
+            )
+        record = GraspRecord(
+            grasp=collector.grasp(label, step.command),
+            step=step,
+            reached=reached,
+            outcome=outcome,
+            cycles=tuple(collector.cycles),
+            early=early_checks.answer if early_checks is not None and outcome.ended_early else None,
+        )
+        missing = NOTHING_HELD.get(outcome.result)
+        if missing is not None:
+            self.journal.note("no part", f"{missing} at {reached}")
+        else:
+            self.journal.grasp(record.grasp)
+            if record.ended:
+                self.journal.note("ramp", record.ended)
+        return record
+
+    def _judged(self, record: GraspRecord, judge: Judge) -> bool:
+        """Hold the part until it is judged; return whether it was kept."""
+        first, zero = record, open_counts(record.grasp)
+        while True:
+            if judge.keeps:
+                self.kept_part.measure(zero)
+            else:
+                self.kept_part.hold()
+            further = judge.decide()
+            self.life.check_cancelled()
+            if further is None:
+                return judge.kept
+            record = self._squeeze(first, replace(further, pose=first.step.pose))
+            judge.start_answer(record)
+
+    def _squeeze(self, first: GraspRecord, step: GraspStep) -> GraspRecord:
+        """Back off and follow a further ramp in the same grip; return its record."""
+        from_n = min(BACK_OFF_SHARE * step.force_n, self.kept_part.force_n)
+        from_n = max(from_n, LEAST_CONTACTS * self._config.gripper.contact_force_n)
+        self.hand.hold_at(from_n, 0.0, self._watch.motion)
+        collector, watch = self._watch.collecting(self.zeroing.zeros.newest)
+        step = self._borne(step)
+        outcome = self.hand.squeeze(self._ramp(step), watch)
+        self.journal.note("ramp", f"further ramp to {step.force_n:.1f} N in the same grip")
+        if outcome.short:
+            self.journal.note("ramp", outcome.short)
+        return GraspRecord(
+            grasp=spliced(first.grasp, collector.grasp(command=step.command), from_n),
+            step=step,
+            reached=first.reached,
+            outcome=outcome,
+            cycles=tuple(collector.cycles),
+            same_grip=True,
+        )
+
+    # -- release -------------------------------------------------------------------------------
 
     def _may_release(self, command: Command) -> None:
         """Let a release begin, also after a `cancel`, but not once the program ends.

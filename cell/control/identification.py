@@ -3,11 +3,11 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-from cell.control.early_end import EarlyDecider
 from cell.control.plan import GraspStep, Keep
 from cell.control.records import GraspRecord
 from cell.fault_catalogue import error_text
 from recognition.drift.grid import DriftFollowing, DriftGrid
+from recognition.errors import RecognitionError
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior, Recognizer
 from recognition.shape.answer import ShapeAnswer, fuse_shapes
@@ -19,18 +19,64 @@ part are the same; only the noise of the frames differs. Averaged with that of t
 three ramps count as with 0.4, which is likeliest for 40 simulated parts (touch alone, twice the
 noise; 0.2 at the usual noise)."""
 
+_SHARES = (0.5, 0.75)
+"""Shares of its force at which a ramp is checked."""
+_MOST_UNKNOWN = 0.02
+"""Largest probability of an untaught object with which a ramp ends. With that of a sequence up to
+3 % more of them got a name (docs/decisions/0010-unknown-never-ends-a-ramp.md)."""
+
 ReadShape = Callable[[Grasp], ShapeAnswer | None]
 """Function from a grasp to its shape and size; None if the pads do not show them."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PartDecision:
-    """Decision about a part that is held while its grasp is classified."""
+class EarlyDecider:
+    """Decides on one ramp while it runs, with the recognizer of whole ramps.
 
-    keep: bool = False
-    """Whether it stays in the grip for the host."""
-    further: GraspStep | None = None
-    """Step whose force is the end of a further ramp in the same grip; None for no further ramp."""
+    Its levels are shares of the load that is reached, so it also answers for a part of a ramp.
+
+    Parameters
+    ----------
+    earlier
+        Posteriors of the earlier grasps of the same object, used together with this one.
+    rule
+        Rule for sufficient evidence, see `StopRule.suffices`; the limit of an untaught object is
+        lower here. An untaught object never ends a ramp. An object whose name would be given only
+        because this is the last grasp does not end one either.
+    """
+
+    def __init__(
+        self, recognizer: Recognizer, earlier: Sequence[Posterior], rule: StopRule
+    ) -> None:
+        self._recognizer = recognizer
+        self._earlier = tuple(earlier)
+        self._rule = rule
+        self._shares = list(_SHARES)
+        self.answer: Posterior | None = None
+        """Posterior of this grasp alone at the check that satisfied the rule; None until then."""
+        self.error: Exception | None = None
+        """Error of a check. The ramp continues, because an error must not stop the force loop."""
+
+    def suffices(self, share: float, so_far: Callable[[], Grasp]) -> bool:
+        """Return whether the evidence suffices at a share of the ramp's force, for the first time.
+
+        ``so_far`` returns the grasp up to now; it is called only at a check.
+        """
+        if self.answer is not None or not self._shares or share < self._shares[0]:
+            return False
+        self._shares = [later for later in self._shares if later > share]
+        try:
+            posterior = self._recognizer.posterior(so_far())
+        except RecognitionError:
+            # Without a result the ramp continues.
+            return False
+        except Exception as error:
+            self.error = error
+            return False
+        fused = fuse([*self._earlier, posterior])
+        # A drawn size is compared with the most accurate measured one: of a whole ramp.
+        if self._rule.suffices(fused) and fused.unknown <= _MOST_UNKNOWN and not posterior.drawn_m:
+            self.answer = posterior
+        return self.answer is not None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,8 +126,8 @@ _Answer = tuple[Posterior, ShapeAnswer | None, Exception | None]
 AnswerExecutor = Callable[[Callable[[], _Answer]], Callable[[], _Answer]]
 """Starts to compute, now or later, and returns the function that waits for the answer."""
 
-CarryOut = Callable[[GraspStep, EarlyDecider | None, "Judge"], tuple[GraspRecord, bool]]
-"""Carries out one step; the early checks may end its ramp, the judge decides about the part.
+CarryOut = Callable[[GraspStep, "Judge"], tuple[GraspRecord, bool]]
+"""Carries out one step; the judge's early checks may end its ramp, and it decides about the part.
 
 Returns the record and whether the part was kept.
 """
@@ -112,6 +158,8 @@ class Judge:
     posteriors: list[Posterior] = field(default_factory=list)
     records: list[GraspRecord] = field(default_factory=list)
     """Answers to the grasps so far, and their records, in order."""
+    early_checks: EarlyDecider | None = None
+    """Checks of the present ramp; None without ``early``."""
     decision: Decision = field(init=False)
     """Decision after the grasps so far."""
     _coming: tuple[GraspRecord, Callable[[], _Answer]] = field(init=False)
@@ -141,23 +189,28 @@ class Judge:
         """Grasp until the stop rule is satisfied or the plan ends."""
         in_grip = False
         while not (self.records and self.over):
-            early_checks = None
             if self.early:
-                early_checks = EarlyDecider(self.recognizer, self.posteriors, self._rule)
-            _, in_grip = grasp(next(self._steps), early_checks, self)
+                self.early_checks = EarlyDecider(self.recognizer, self.posteriors, self._rule)
+            _, in_grip = grasp(next(self._steps), self)
             if not self.holds:
                 self.add()
-            if early_checks is not None and early_checks.error is not None:
+            if self.early_checks is not None and self.early_checks.error is not None:
                 ramp = f"early checks of the ramp of grasp {len(self.records)}"
-                self.complain(ramp, early_checks.error)
+                self.complain(ramp, self.early_checks.error)
         return self._identification(in_grip=in_grip)
 
-    def decide(self) -> PartDecision:
-        """Wait for the answer and decide; called while the part is held."""
+    def decide(self) -> GraspStep | None:
+        """Wait for the answer, while the part is held; return the step of a further ramp, or None.
+
+        The force of the step is the end of the ramp in the same grip.
+        """
         self.add()
-        if self.over:
-            return PartDecision(keep=self.keep.keeps(self.decision.label))
-        return PartDecision() if self.regrasps else PartDecision(further=next(self._steps))
+        return None if self.over or self.regrasps else next(self._steps)
+
+    @property
+    def kept(self) -> bool:
+        """Whether the part stays in the grip for the host."""
+        return self.over and self.keep.keeps(self.decision.label)
 
     def start_answer(self, record: GraspRecord) -> None:
         """Begin to compute the answer to a grasp at the end of its ramp; `add` follows.

@@ -136,3 +136,26 @@ class GraspCollector:
             command=command,
             zero=self.zero,
         )
+
+
+def spliced(approach: Grasp, further: Grasp, from_n: float) -> Grasp:
+    """Return a grasp made of the first approach and a further ramp in the same grip.
+
+    A recognizer compares each taxel with its rest before the touch, but a further ramp begins with
+    a loaded part. The frames of the first ramp below ``from_n``, the set-point in N at which the
+    further ramp begins, are therefore put before it.
+    """
+    n = int(np.argmax(np.asarray(approach.force_n) >= from_n))
+    gap_s = float(np.median(np.diff(further.t_s))) if further.n_frames > 1 else 0.0
+    later_s = float(approach.t_s[n - 1]) + gap_s if n else 0.0
+    return Grasp(
+        pads=further.pads,
+        counts=np.concatenate([approach.counts[:n], further.counts]),
+        t_s=np.concatenate([approach.t_s[:n], further.t_s + later_s]),
+        aperture_m=np.concatenate([approach.aperture_m[:n], further.aperture_m]),
+        force_n=np.concatenate([approach.force_n[:n], further.force_n]),
+        label=further.label,
+        source=further.source,
+        start_ms=further.start_ms,
+        command=further.command,
+    )

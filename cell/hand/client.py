@@ -55,7 +55,7 @@ class LoopProcess:
     It is a new process (exec, no fork): it shares no lock, thread or interpreter with the program,
     and does not import the program's main module. Raises gripper.errors.PortLost or
     tactile.errors.LinkFault if a port or bus cannot be opened, and HandLost if the process does not
-    start. The ports of the config are real; ``partial`` is as in `cell.hand.build.open_hand`.
+    start. The ports of the config are real; ``partial`` is as in `cell.hand.local.open_hand`.
     """
 
     def __init__(self, config: CellConfig, *, partial: bool = False) -> None:
@@ -214,7 +214,7 @@ class HandProcess:
     config
         The cell; its ports are real.
     partial
-        As `cell.hand.build.open_hand`.
+        As `cell.hand.local.open_hand`.
 
     Raises
     ------

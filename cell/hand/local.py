@@ -1,47 +1,97 @@
-"""The hand in this process: its loop runs in the caller's thread."""
+"""The hand in this process: its loop runs in the caller's thread; no simulator."""
 
+import functools
+import time
 from collections.abc import Callable
+from dataclasses import asdict
 
+from cell.config.gripper import use_servo_models
+from cell.config.model import CellConfig
+from cell.config.sensor import SensorLines
+from cell.config.tactile import TactileConfig, layout_from_config, make_calibration
 from cell.hand.connections import HandConnections
 from cell.hand.interface import HandStatistics, LatestValues, OnPeriod
+from cell.plugins import SENSORS
+from cell.sensors.guard import GuardedSource
+from gripper.clock import Clock
+from gripper.dynamixel.serial_port import SerialStream
 from gripper.force.ramp import ForceRamp
-from gripper.gripper import Gripper
+from gripper.gripper import open_gripper
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspOutcome, ReleaseReport
 from gripper.values.state import Cycle, GripperPhase, TimeSpan
+from tactile.can.bus import MissingBus, open_bus
 from tactile.errors import ZeroDrifted
 from tactile.sensor.grip_force import GripForce
 from tactile.sensor.sensor import TactileReading, TactileSensor
+from tactile.sensor.settings import SensorSettings
 from tactile.sensor.tare import TareResult
-from tactile.source import SourceIdentity
+from tactile.source import FrameSource, SourceIdentity
+
+SHARED_PROCESS = (
+    "the force loop shares its process with all other work, which may delay it: set "
+    "loop.own_process to true"
+)
+"""Note of a real cell whose loop has no process of its own."""
+
+_HELD_SHARE = 0.35
+"""Share of the friction by which the set-point may change before the force follows, because
+friction holds the force: a quarter where empty fingers meet, and half as much again."""
 
 
 class LocalHand:
     """Implements `cell.hand.interface.Hand` in the caller's thread.
 
-    The gripper reads the sensor's force from ``force``. The lines of both are closed at the end.
     Gripper, sensor and the servos' ``bus`` are public for tests and benchmarks; send commands
     through the hand.
+
+    Parameters
+    ----------
+    config
+        The cell.
+    lines
+        Open lines of gripper and sensor; the hand closes them at its end.
+    notes
+        Messages for the operator, before those of the config.
+    clock
+        Clock of the lines.
     """
 
     own_process = False
 
     def __init__(
         self,
-        *,
-        gripper: Gripper,
-        sensor: TactileSensor,
-        force: GripForce[ForceSample],
+        config: CellConfig,
         lines: HandConnections,
+        *,
         notes: tuple[str, ...] = (),
+        clock: Clock = time,
     ) -> None:
-        self.gripper = gripper
-        self.sensor = sensor
+        settings = sensor_settings(config.tactile, config.friction_n)
+        source = frame_source(
+            config.tactile,
+            SensorLines(
+                clock=clock,
+                open_serial=lines.open_boards,
+                can_bus=lines.can_bus,
+                reopen_can=lines.reopen_can,
+                real_time=clock is time,
+            ),
+        )
+        calibration = make_calibration(config.tactile, source.layout)
+        self.sensor = sensor = TactileSensor(source, calibration, clock=clock, settings=settings)
+        self._force = GripForce(sensor, ForceSample)
+        self.gripper = gripper = open_gripper(
+            lines.stream,
+            config.gripper_settings,
+            config.linkage,
+            baud_rate=config.gripper.baud_rate,
+            force_sensor=self._force,
+        )
         self.bus = gripper.bus
         self.layout, self.period_s = sensor.layout, gripper.settings.period_s
-        self.notes = notes
+        self.notes = (*notes, *config.notes)
         self.latest = LatestValues()
-        self._force = force
         self._lines = lines
         self.start = gripper.start
         self.read_drives, self.use_drives = gripper.drives.read, gripper.drives.use
@@ -171,3 +221,59 @@ class LocalHand:
         """Refuse to measure with a zero that has moved, while the fingers are open."""
         if self.sensor.running:
             self.sensor.check_zero()
+
+
+def open_hand(
+    config: CellConfig, *, notes: tuple[str, ...] = (), partial: bool = False
+) -> LocalHand:
+    """Open the real ports of a config; nothing moves yet.
+
+    With ``partial`` one of both lines may be missing; a note of the hand names it. Raises
+    gripper.errors.PortLost or tactile.errors.LinkFault if a port or bus cannot be opened; with
+    ``partial`` only if both cannot be opened.
+    """
+    gripper, tactile = config.gripper, config.tactile
+    # A config that another process has checked comes without what its check has loaded.
+    use_servo_models(servo.model for servo in gripper.servos)
+    lines = HandConnections(
+        lambda: SerialStream(gripper.port, gripper.baud_rate),
+        lambda: (
+            MissingBus()
+            if not tactile.sensor.on_can
+            else open_bus(tactile.interface, tactile.channel, bitrate=tactile.bitrate)
+        ),
+        partial=partial,
+        open_boards=[
+            functools.partial(SerialStream, port, tactile.sensor.baud_rate)
+            for port in tactile.serial_ports
+        ],
+    )
+    try:
+        return LocalHand(config, lines, notes=(*notes, *lines.notes))
+    except BaseException:
+        lines.close()
+        raise
+
+
+def frame_source(config: TactileConfig, lines: SensorLines) -> FrameSource:
+    """Return the frame source of a config, not started; that of another package is guarded."""
+    kind = config.sensor.kind
+    if SENSORS.built_in(kind):
+        return config.sensor.open_source(config, lines)
+    return GuardedSource(
+        lambda: config.sensor.open_source(config, lines),
+        name=f"sensor {kind} of {SENSORS.package(kind)}",
+        layout=layout_from_config(config),
+        clock=lines.clock,
+    )
+
+
+def sensor_settings(config: TactileConfig, friction_n: float = 0.0) -> SensorSettings:
+    """Return the settings that convert frames to forces, for fingers with a friction in N."""
+    of_kind = {name: one for name, one in asdict(config.sensor.rest).items() if one is not None}
+    return SensorSettings(
+        drift_share=config.drift_max_share,
+        bad_share=config.bad_taxels_max_share,
+        force_step_n=max(SensorSettings().force_step_n, _HELD_SHARE * friction_n),
+        **of_kind,
+    )

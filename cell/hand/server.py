@@ -22,9 +22,8 @@ from types import FrameType
 from typing import Any
 
 from cell.errors import HandLost, HostSilent
-from cell.hand.build import open_hand
 from cell.hand.interface import HandStatistics
-from cell.hand.local import LocalHand
+from cell.hand.local import LocalHand, open_hand
 from cell.hand.messages import (
     Boot,
     EndRamp,

@@ -19,7 +19,7 @@ from cell.commissioning.engine import Engine, Question
 from cell.commissioning.walk import all_steps
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.interfaces.cli.dialog import TerminalDialog
+from cell.interfaces.cli.commands.commission import TerminalDialog
 from cell.interfaces.cli.terminal import print_line
 from cell.runtime.simulate import client_config
 from cell.simulation import simulation_of

@@ -15,7 +15,7 @@ from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.config.sensor import SensorConfig, SensorLines
 from cell.config.tactile import layout_from_config
-from cell.hand.build import frame_source
+from cell.hand.local import frame_source
 from cell.plugins import SENSORS
 from cell.simulation import open_can_bus, simulation_of
 from pytest_tactile_cell.configs import simulated_config

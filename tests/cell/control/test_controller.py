@@ -20,7 +20,6 @@ from cell.config.sequence import (
     ramp_from_config,
 )
 from cell.control.controller import CellController
-from cell.control.grasping import Grasper
 from cell.control.identification import Identification, Judge
 from cell.control.plan import GraspStep, Pose, plan
 from cell.control.records import GraspRecord, pad_array
@@ -412,8 +411,8 @@ def test_ramps_of_the_config_end_at_the_wanted_force(config) -> None:
 
 
 @pytest.fixture
-def grasper() -> Grasper:
-    """A grasper whose hand finds nothing, and whose sensor sends no frame."""
+def controller() -> CellController:
+    """A controller whose hand finds nothing, and whose sensor sends no frame."""
     released: list[Callable[..., Any]] = []
     hand: Any = SimpleNamespace(
         layout=paper_layout(),
@@ -427,22 +426,22 @@ def grasper() -> Grasper:
         released=released,
     )
     positioner: Any = SimpleNamespace(blocks=False, move_to=lambda pose, *_: pose)
-    return CellController(small_config(), hand, positioner, clock=Clock())._grasper
+    return CellController(small_config(), hand, positioner, clock=Clock())
 
 
-def test_fingers_that_close_before_a_frame_comes_open_again(grasper: Grasper) -> None:
+def test_fingers_that_close_before_a_frame_comes_open_again(controller: CellController) -> None:
     with pytest.raises(NoPartFound, match="had closed before a frame of the taxels came"):
-        grasper.grasp(GraspStep(pose=Pose(), force_n=3.0), "")
-    assert len(grasper.hand.released) == 1  # type: ignore[attr-defined]
-    assert grasper.life.result is GraspResult.NO_CONTACT
+        controller._carry_out(GraspStep(pose=Pose(), force_n=3.0), "")
+    assert len(controller.hand.released) == 1  # type: ignore[attr-defined]
+    assert controller.life.result is GraspResult.NO_CONTACT
 
 
 def test_servos_that_carry_less_than_asked_for_end_the_ramp_there_with_one_note(
-    grasper: Grasper, monkeypatch: pytest.MonkeyPatch
+    controller: CellController, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    hand: Any = grasper.hand
+    hand: Any = controller.hand
     finals_n, notes = [], []
-    monkeypatch.setattr(grasper.journal, "note", lambda _kind, text: notes.append(text))
+    monkeypatch.setattr(controller.journal, "note", lambda _kind, text: notes.append(text))
 
     def grasp(ramp: ForceRamp, _watch: object) -> Any:
         finals_n.append(ramp.final_n)
@@ -451,14 +450,14 @@ def test_servos_that_carry_less_than_asked_for_end_the_ramp_there_with_one_note(
     hand.grasp, hand.largest_ramp_n = grasp, 4.0
     for force_n in (3.0, 6.0, 6.0):
         with pytest.raises(NoPartFound):
-            grasper.grasp(GraspStep(pose=Pose(), force_n=force_n), "")
+            controller._carry_out(GraspStep(pose=Pose(), force_n=force_n), "")
     assert finals_n == pytest.approx([3.0, 3.6, 3.6])
     (note,) = notes
     assert "grasps end at 3.6 N, 6.0 N were asked for" in note
     assert "current_max_a" in note
     # What the config itself does not allow is refused as ever.
     hand.check_ramp = lambda ramp: finals_n.append(ramp.final_n)
-    grasper.check(GraspStep(pose=Pose(), force_n=40.0))
+    controller._check_step(GraspStep(pose=Pose(), force_n=40.0))
     assert finals_n[-1] == 40.0
 
 
@@ -481,7 +480,7 @@ def identified(
 ) -> Identification:
     """Identify with a hand whose grasps are all the same; sure at the second one by default."""
 
-    def grasp(_step: object, _looks: object, judge: Judge) -> tuple[GraspRecord, bool]:
+    def grasp(_step: object, judge: Judge) -> tuple[GraspRecord, bool]:
         judge.start_answer(record)
         return record, False
 

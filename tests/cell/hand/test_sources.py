@@ -12,8 +12,8 @@ from cell.config.model import CellConfig
 from cell.config.tactile import TactileConfig
 from cell.control.plan import Pose
 from cell.errors import ConfigError
-from cell.hand.build import sensor_settings
 from cell.hand.connections import MISSING, HandConnections
+from cell.hand.local import sensor_settings
 from cell.recording.dataset import read_grasps
 from gripper.errors import PortLost
 from gripper.values.state import GripperPhase

@@ -35,9 +35,8 @@ from cell.interfaces.access import view_token
 from cell.interfaces.cli import terminal
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands import serve as serving
-from cell.interfaces.cli.service_manager import ServiceManager
-from cell.interfaces.cli.support_bundle import REMOVED
-from cell.interfaces.cli.system_files import UNIT_FILE, closed_to_others, system_files
+from cell.interfaces.cli.commands.serve import ServiceManager
+from cell.interfaces.cli.commands.service import REMOVED, UNIT_FILE, closed_to_others, system_files
 from cell.recording.reader import RecordedMessages
 from cell.service.service import RELEASE_KEY
 from cell.service.shift import Sum, Totals
@@ -178,7 +177,7 @@ def test_the_rules_name_each_serial_port_of_the_cell_and_keep_modem_manager_away
 ) -> None:
     chip = {"ID_VENDOR_ID": "1a86", "ID_MODEL_ID": "7523"}
     monkeypatch.setattr(
-        "cell.interfaces.cli.system_files.usb_identity",
+        "cell.interfaces.cli.commands.service.usb_identity",
         lambda port: None if port == "/dev/ttyACM3" else chip | {"DEVPATH": f"*-{port[-1]}/*"},
     )
     boards = {"kind": "flexitac", "ports": ("/dev/ttyUSB1", "/dev/ttyUSB2")}
@@ -476,7 +475,7 @@ def test_without_a_service_the_bundle_says_so(tmp_path: Path, monkeypatch: Any) 
     config = parse_config((tmp_path / "cell.yaml").read_text(), source="cell")
     silent = changed_config(config, {"serve.http_port": 1, "serve.token_file": ""})
     (tmp_path / "cell.yaml").write_text(config_text(silent))
-    monkeypatch.setattr("cell.interfaces.cli.support_bundle.RECORDING_BYTES", 1000)
+    monkeypatch.setattr("cell.interfaces.cli.commands.service.RECORDING_BYTES", 1000)
     found = packed(tmp_path)
     assert found["health.txt"].startswith(b"the service did not answer: ")
     assert "recording.mcap" not in found

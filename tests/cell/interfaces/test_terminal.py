@@ -22,7 +22,7 @@ from cell.control.states import CellState
 from cell.errors import CellError, CellStopped, ModelError, PositionerError, RecordingError
 from cell.interfaces.cli import session, terminal as asking
 from cell.interfaces.cli.app import app
-from cell.interfaces.cli.dialog import TerminalDialog
+from cell.interfaces.cli.commands.commission import TerminalDialog
 from cell.interfaces.cli.session import running_cell
 from cell.interfaces.cli.signals import stopping
 from tests.cell.conftest import small_config

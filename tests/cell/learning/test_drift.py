@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cell.control.early_end import EarlyDecider
-from cell.control.identification import Identification
+from cell.control.identification import EarlyDecider, Identification
 from cell.control.plan import GraspStep, Keep, Pose
 from cell.control.states import CellState
 from cell.errors import CellError, CellStopped

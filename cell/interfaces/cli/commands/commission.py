@@ -1,19 +1,164 @@
 """`commission`: guides from new parts to the first grasp; `hand bench`: measures one servo."""
 
+import select
+import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Engine, WizardAborted
+from cell.commissioning.engine import Dialog, Engine, Question, Step, WizardAborted, leave
+from cell.commissioning.findings import Notes, ProposedChange, Verdict
 from cell.commissioning.servo_bench import open_rig, run_bench
 from cell.commissioning.servos import restore as restore_servos
 from cell.commissioning.walk import all_steps
 from cell.config.file import load_config
-from cell.interfaces.cli.dialog import TerminalDialog
 from cell.interfaces.cli.signals import as_interrupts
-from cell.interfaces.cli.terminal import print_line, print_note
+from cell.interfaces.cli.terminal import ask, out, plain_text, print_line, print_note
+
+_LEAVE = "q"
+"""Answer that leaves the wizard."""
+_LOOK_S = 0.1
+"""Time in s between two readings of a live value."""
+_LINE_START = "\r\x1b[2K"
+"""Clears the line and returns to its start (ECMA-48: CR, EL)."""
+_LINE_UP, _SAVE, _RESTORE = "\x1b[1A", "\x1b7", "\x1b8"
+"""One line up (ECMA-48: CUU); save and restore the place of the cursor (DECSC, DECRC)."""
+_COLOURS = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red"}
+
+
+class TerminalDialog(Dialog):
+    """Implements `cell.commissioning.engine.Dialog` on standard input and output."""
+
+    def __init__(self) -> None:
+        self._running = False
+
+    def start_step(self, step: Step, number: int, count: int) -> None:
+        """Print the step that begins."""
+        self._end_line()
+        out.print(f"\n[bold]{number}/{count} {plain_text(step.title)}[/]")
+        print_line(step.purpose)
+
+    def show(self, step: Step, notes: Notes) -> None:
+        """Print the findings of a step."""
+        self._end_line()
+        verdict = notes.status
+        out.print(f"[{_COLOURS[verdict]}]{verdict.value}[/] {plain_text(step.title)}")
+        for line in notes.lines:
+            print_line(f"  {line}")
+
+    def say(self, text: str) -> None:
+        """Print a text."""
+        self._end_line()
+        print_line(text)
+
+    def live(self, name: str, value_text: str) -> None:
+        """Print a value over its previous one; without a terminal print nothing."""
+        if out.is_terminal:
+            out.file.write(f"{_LINE_START}{_one_line(f'{name} {value_text}')}")
+            out.file.flush()
+            self._running = True
+
+    def ask(self, question: Question, *, watch: Callable[[], str] | None = None) -> str | float:
+        """Ask until the answer is valid; raises `WizardAborted` at q and at the end of input."""
+        self.say(question.text)
+        for number, (key, choice) in enumerate((question.choices or {}).items(), start=1):
+            text, _, picture = choice.partition("\n")
+            print_line(f"  {number}  {text}{' (Enter)' if key == question.default else ''}")
+            if picture:
+                print_line(picture)
+        while True:
+            answer = self._answer(question, self._line(question, watch))
+            if answer is not None:
+                return answer
+
+    def approve(self, writes: Sequence[ProposedChange]) -> None:
+        """Print a batch of writes and ask once for approval."""
+        self._end_line()
+        for write in writes:
+            print_line(f"  {write.where}: {write.what}: {write.before} -> {write.after}")
+        for undo in dict.fromkeys(write.undo for write in writes):
+            print_line(f"  undo: {undo}")
+        while True:
+            typed = self._typed("Do this? y, or n to leave: ").lower()
+            if typed in {"y", "yes"}:
+                return
+            if typed in {"n", "no"}:
+                leave("refused; nothing was written or moved")
+
+    def finished(self, engine: Engine, files: Sequence[Path]) -> None:
+        """Print the errors that were corrected, and the files that were written."""
+        print_line("Errors found and corrected:" if engine.corrected else "No errors were found.")
+        for line in engine.corrected:
+            print_line(f"  {line}")
+        print_line(f"commissioned: {', '.join(map(str, files))}")
+
+    def _line(self, question: Question, watch: Callable[[], str] | None) -> str:
+        unit = f" in {question.number[2]}" if question.number is not None else ""
+        default = "" if question.default is None or question.choices else f" [{question.default}]"
+        return self._typed(f"{_LEAVE} leaves{unit}{default}> ", watch)
+
+    def _typed(self, prompt: str, watch: Callable[[], str] | None = None) -> str:
+        """Return the typed line; the line above shows what ``watch`` returns."""
+        shown = watch is not None and out.is_terminal
+        out.print(("\n" if shown else "") + plain_text(prompt), end="", soft_wrap=True)
+        try:
+            # A signal just before the read would otherwise wait until a line is typed.
+            while not _input_waits():
+                text = "" if watch is None else watch()
+                if shown:
+                    out.file.write(f"{_SAVE}{_LINE_UP}{_LINE_START}{_one_line(text)}{_RESTORE}")
+                    out.file.flush()
+            typed = ask("").strip()
+        except EOFError:
+            leave("the input ended")
+        if typed == _LEAVE:
+            leave("on request")
+        return typed
+
+    def _answer(self, question: Question, typed: str) -> str | float | None:
+        """Return the typed answer; None, with a message, if it is not valid."""
+        if not typed and question.default is not None:
+            return question.default
+        if question.choices is not None:
+            keys = list(question.choices)
+            by_number = {str(number): key for number, key in enumerate(keys, start=1)}
+            answer = by_number.get(typed, typed if typed in keys else None)
+            if answer is None:
+                print_line(f"type a number from 1 to {len(keys)}")
+            return answer
+        if question.number is None:
+            return typed or None
+        low, high, unit = question.number
+        try:
+            value = float(typed.replace(",", "."))
+        except ValueError:
+            value = float("nan")
+        if low <= value <= high:
+            return value
+        print_line(f"type a number from {low:g} to {high:g} {unit}")
+        return None
+
+    def _end_line(self) -> None:
+        if self._running:
+            out.file.write("\n")
+            self._running = False
+
+
+def _input_waits() -> bool:
+    """Wait 0.1 s for input; return whether there is input, or the end of it."""
+    try:
+        return bool(select.select([sys.stdin], [], [], _LOOK_S)[0])
+    except (OSError, ValueError):
+        # The input is no file of the system: reading it does not wait.
+        return True
+
+
+def _one_line(text: str) -> str:
+    """Return a text cut to one line of the terminal: a longer text could not be overwritten."""
+    return "".join(sign for sign in text.strip() if sign.isprintable())[: out.width - 1]
 
 
 def _can(text: str | None) -> str | None:

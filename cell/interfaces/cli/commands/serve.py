@@ -1,10 +1,13 @@
 """`serve`: runs the cell and opens interfaces for PLCs, robot programs and other hosts."""
 
 import json
+import os
 import socket
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,13 +18,57 @@ from cell.config.serve import ALL_CLOSED
 from cell.errors import CellError, CellStopped, ConfigError
 from cell.installation import missing_note
 from cell.interfaces.cli import options
-from cell.interfaces.cli.service_manager import ServiceManager
 from cell.interfaces.cli.session import cell_config, job_folder, model_of_folder, with_faults
 from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
 from cell.interfaces.cli.terminal import err, print_note, print_page, print_view
 from cell.interfaces.opening import open_interfaces, warnings
 from cell.interfaces.page_address import page_address, view_note
 from cell.service.service import Service, open_service
+
+_FEEDS = 4
+"""Messages to the watchdog within its time-out: three may be lost or late."""
+
+
+class ServiceManager:
+    """Sends states as sd_notify(3) does; without its environment variables it sends nothing."""
+
+    def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
+        address = environment.get("NOTIFY_SOCKET", "")
+        # "@" stands for the null byte of an abstract address.
+        self._address = f"\0{address[1:]}" if address.startswith("@") else address
+        ours = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+        limit_us = environment.get("WATCHDOG_USEC", "") if ours else ""
+        self._feed_every_s = 1e-6 * int(limit_us or 0) / _FEEDS
+        self._due_s = -inf if limit_us else inf
+        self._status = ""
+
+    def ready(self) -> None:
+        """Send that the cell accepts commands."""
+        self._send("READY=1")
+
+    def stopping(self) -> None:
+        """Send that the cell ends on purpose."""
+        self._send("STOPPING=1")
+
+    def report(self, status: str, *, working: bool) -> None:
+        """Send a new status, one line for people, and feed the watchdog while the cell works."""
+        if status != self._status:
+            self._status = status
+            self._send(f"STATUS={status}")
+        now_s = time.monotonic()
+        if working and now_s >= self._due_s:
+            self._due_s = now_s + self._feed_every_s
+            self._send("WATCHDOG=1")
+
+    def _send(self, state: str) -> None:
+        if self._address:
+            # If the service manager is gone or does not read, the cell has no fault.
+            with (
+                suppress(OSError),
+                socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as link,
+            ):
+                link.sendto(state.encode(), self._address)
+
 
 SIGNAL_LOOK_S = 0.25
 """Longest wait in s before signals are handled; Python handles them between two waits."""

@@ -1,17 +1,320 @@
 """`service`: files of an installed cell: system files, a bundle for support."""
 
+import platform
+import re
+import shlex
+import shutil
+import ssl
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib.metadata import distributions
+from ipaddress import ip_address
 from pathlib import Path
-from typing import Annotated
+from stat import S_IROTH, S_IXOTH
+from typing import Annotated, BinaryIO
+from urllib.request import Request, urlopen
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
 import typer
 
-from cell.config.serve import ALL_CLOSED
-from cell.errors import CellError
-from cell.files import write_text
-from cell.interfaces.cli import options, system_files as system
+from cell.commissioning.ports import udev_rule, usb_identity
+from cell.config.file import config_text
+from cell.config.model import CellConfig
+from cell.config.serve import ALL_CLOSED, ServeConfig
+from cell.errors import CellError, ConfigError
+from cell.files import json_bytes, write_atomically, write_text
+from cell.interfaces.access import read_secret, view_token
+from cell.interfaces.cli import options
 from cell.interfaces.cli.session import cell_config
-from cell.interfaces.cli.support_bundle import write_bundle
 from cell.interfaces.cli.terminal import ask, print_line, print_note
+
+NAME = "tactile-cell"
+"""Name of the service, its user and its folder in /var/lib."""
+STATE_FOLDER = Path("/var/lib", NAME)
+"""Working folder of the service; it writes here."""
+RULES_FILE = Path("/etc/udev/rules.d/99-tactile-cell.rules")
+USER_FILE = Path("/etc/sysusers.d/tactile-cell.conf")
+UNIT_FILE = Path("/etc/systemd/system/tactile-cell.service")
+"""Files that are installed: udev rules, user, systemd unit."""
+AFTER_WRITING = (
+    "systemd-sysusers",
+    "udevadm control --reload && udevadm trigger",
+    "systemctl daemon-reload && systemctl enable --now tactile-cell",
+)
+"""Commands that activate the files."""
+_CHIPS = "0403|10c4|1a86"
+"""USB vendors whose adapters brltty mistakes for braille displays: FTDI, Silicon Labs, WCH."""
+_UNIT = """\
+# A cell that names parts by touch. Made by `tactile-cell service install`.
+[Unit]
+Description=tactile-cell, the robot cell that names parts by touch
+Wants=network-online.target
+After=network-online.target
+# It always starts again, without a limit. A supervisor looks at the fault.
+StartLimitIntervalSec=0
+
+[Service]
+Type=notify
+NotifyAccess=main
+{prepare}ExecStart={command}
+WorkingDirectory={state}
+StateDirectory={name}
+User={name}
+SupplementaryGroups=dialout
+
+# Ready when clients can command. Before that, the first start of the built-in cell teaches objects.
+TimeoutStartSec=180
+# Fed only while the service works, see /healthz. The signal ends the cell; the grip is kept.
+WatchdogSec=30
+WatchdogSignal=SIGTERM
+
+# The force loop is a second process. Before it ends it freezes the grip and disarms the bus
+# watchdog of the servos. No process may be killed before that: "control-group" sends SIGTERM to
+# both, and SIGKILL after TimeoutStopSec. "mixed" would send SIGKILL to the force loop as soon as
+# the main process ends.
+KillMode=control-group
+KillSignal=SIGTERM
+TimeoutStopSec=45
+OOMPolicy=continue
+OOMScoreAdjust=-500
+# A start with a part in the grip moves nothing and waits for `clear` and `release`.
+Restart=on-failure
+RestartSec=2
+# 2: wrong use or a wrong config, which another start does not correct.
+RestartPreventExitStatus=2
+
+# The force loop requests SCHED_FIFO and locked memory.
+LimitRTPRIO=99
+LimitMEMLOCK=infinity
+
+# The line with all ports is for programs; people read the journal.
+StandardOutput=null
+StandardError=journal
+SyslogIdentifier={name}
+
+NoNewPrivileges=yes
+ProtectSystem=strict
+ProtectHome=read-only
+PrivateTmp=yes
+{writable}
+[Install]
+WantedBy=multi-user.target
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class SystemFile:
+    """A file of the system that `service install` prints or writes."""
+
+    path: Path
+    text: str
+
+
+def system_files(
+    config: CellConfig, config_file: Path | None, options: tuple[str, ...] = ()
+) -> tuple[SystemFile, ...]:
+    """Return rules, user and unit of a cell.
+
+    Parameters
+    ----------
+    config, config_file
+        The cell, and its file; None: the built-in simulated cell.
+    options
+        Further options of `serve`.
+    """
+    user = f'u {NAME} - "tactile-cell" {STATE_FOLDER}\nm {NAME} dialout\n'
+    return (
+        SystemFile(RULES_FILE, "\n".join(_rules(config)) + "\n"),
+        SystemFile(USER_FILE, user),
+        SystemFile(UNIT_FILE, _unit(config, config_file, options)),
+    )
+
+
+# -- udev --------------------------------------------------------------------------------------
+
+
+def _rules(config: CellConfig) -> Iterator[str]:
+    yield "# Serial adapters of a tactile cell. Made by `tactile-cell service install`."
+    yield "# The latency timer of FTDI adapters: 16 ms by default, too long for the force loop."
+    yield udev_rule().partition(" in ")[0]
+    yield "# brltty mistakes these adapters for braille displays and takes their ports."
+    yield (
+        f'SUBSYSTEM=="usb", ENV{{BRLTTY_BRAILLE_DRIVER}}=="?*", ATTR{{idVendor}}=="{_CHIPS}", '
+        'ENV{BRLTTY_BRAILLE_DRIVER}="", ENV{SYSTEMD_WANTS}=""'
+    )
+    for role, key, port in config.serial_ports:
+        identity = usb_identity(port)
+        if identity is None:
+            yield f"# {key}: {port} is no connected USB adapter; it gets no name."
+        else:
+            match = ", ".join(f'ENV{{{name}}}=="{value}"' for name, value in identity.items())
+            by = "in this USB socket" if "DEVPATH" in identity else "in any USB socket"
+            yield f"# {key}: this adapter {by} is /dev/{NAME}/{role}, and no modem."
+            yield f'SUBSYSTEM=="tty", {match}, SYMLINK+="{NAME}/{role}"'
+            yield (
+                'SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", '
+                f'ATTR{{idVendor}}=="{identity["ID_VENDOR_ID"]}", '
+                f'ATTR{{idProduct}}=="{identity["ID_MODEL_ID"]}", ENV{{ID_MM_DEVICE_IGNORE}}="1"'
+            )
+
+
+# -- systemd -----------------------------------------------------------------------------------
+
+
+def _unit(config: CellConfig, config_file: Path | None, options: tuple[str, ...]) -> str:
+    folder = Path(config.recording.directory)
+    command = [*program(), "serve", *options, "--out", str(folder)]
+    if config_file is not None:
+        command += ["--config", str(config_file.resolve())]
+    prepare = "".join(f"ExecStartPre=-+{shlex.join(one)}\n" for one in _can_commands(config))
+    writable = f"ReadWritePaths=-{folder}\n" if folder.is_absolute() else ""
+    return _UNIT.format(
+        command=" ".join(map(_quoted, command)),
+        name=NAME,
+        prepare=prepare,
+        state=STATE_FOLDER,
+        writable=writable,
+    )
+
+
+def program() -> list[str]:
+    """Return the command that starts this program, with whole paths."""
+    beside = Path(sys.executable).with_name(NAME)
+    return (
+        [str(beside)]
+        if beside.exists()
+        else [
+            sys.executable,
+            "-c",
+            "from cell.interfaces.cli import main; main()",
+        ]
+    )
+
+
+def closed_to_others(path: Path) -> Path | None:
+    """Return the first folder, or the file, that other users may not read; None: all readable."""
+    path = path.resolve()
+    folders = reversed(path.parents)
+    closed = (one for one in folders if one.exists() and not one.stat().st_mode & S_IXOTH)
+    unread = path.is_file() and not path.stat().st_mode & S_IROTH
+    return next(closed, path if unread else None)
+
+
+def _can_commands(config: CellConfig) -> Iterator[list[str]]:
+    """Yield the commands that bring SocketCAN interfaces up, as root; they may be up already."""
+    buses = [can for _, _, can in config.can_buses if can.interface == "socketcan"]
+    for channel, bitrate in {can.channel: can.bitrate for can in buses}.items():
+        link = [shutil.which("ip") or "/usr/sbin/ip", "link", "set", channel]
+        yield [*link, "type", "can", "bitrate", str(bitrate), "restart-ms", "100"]
+        yield [*link, "up"]
+
+
+def _quoted(word: str) -> str:
+    """Return a word of a command quoted for systemd, which then reads %, $ and blanks as text."""
+    word = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
+    return f'"{word}"' if any(sign in " \\\"';" for sign in word) else word
+
+
+REMOVED = "removed"
+"""Text that replaces a secret."""
+_SECRET_KEYS = ("token_file", "secret_file", "tls_key")
+"""Keys of ``serve`` whose values are removed."""
+_TOKEN_IN_TEXT = re.compile(r"""(token["']?[=:]\s*["']?|bearer\s+)[\w.~+/=-]+""", re.IGNORECASE)
+"""A token in an address, a header or JSON."""
+RECORDING_BYTES = 50_000_000
+"""Largest size in bytes of the newest recording; a larger one is left out."""
+_LINES = 2000
+"""Number of newest lines of the journal."""
+_PATIENCE_S = 5.0
+"""Longest wait in s for the service, and for the journal."""
+
+
+def write_bundle(path: Path, config: CellConfig) -> list[str]:
+    """Write the bundle, a ZIP archive, and return the names of its files.
+
+    Raises CellError if it cannot be written.
+    """
+    hidden = {key: REMOVED for key in _SECRET_KEYS if getattr(config.serve, key)}
+    public = config.model_copy(update={"serve": config.serve.model_copy(update=hidden)})
+    packages = sorted((one.name, one.version) for one in distributions())
+    machine = {"python": platform.python_version(), "system": platform.platform()}
+    texts = {
+        "config.yaml": config_text(public, comments=False),
+        "versions.json": json_bytes(machine | {"packages": dict(packages)}).decode(),
+        "health.txt": _asked(config.serve, "/healthz"),
+        "state.txt": _asked(config.serve, "/api/state"),
+        "journal.txt": _journal(),
+    }
+    recordings = Path(config.recording.directory).glob("*/*.mcap")
+    *_, newest = [None, *sorted(recordings, key=lambda one: one.stat().st_mtime)]
+    packed = newest is not None and newest.stat().st_size <= RECORDING_BYTES
+    if newest is not None and not packed:
+        texts["recording.txt"] = f"{newest}: left out, it has more than {RECORDING_BYTES} bytes\n"
+    secrets = _secrets(config.serve)
+
+    def write(file: BinaryIO) -> None:
+        with ZipFile(file, "w", ZIP_DEFLATED) as archive:
+            for name, text in texts.items():
+                archive.writestr(name, _without(secrets, text))
+            if newest is not None and packed:
+                archive.write(newest, "recording.mcap", ZIP_STORED)
+
+    write_atomically(path, write, error=CellError, what="support bundle")
+    return [*texts, *(["recording.mcap"] if packed else [])]
+
+
+def _without(secrets: list[str], text: str) -> str:
+    """Return a text without known secrets, and without anything in the form of a token."""
+    for secret in secrets:
+        text = text.replace(secret, REMOVED)
+    return _TOKEN_IN_TEXT.sub(rf"\g<1>{REMOVED}", text)
+
+
+def _secrets(serve: ServeConfig) -> list[str]:
+    """Return the secrets of a config, except for files that this user may not read."""
+    found = []
+    for name in filter(None, (serve.token_file, serve.secret_file)):
+        with suppress(ConfigError, OSError):
+            secret = read_secret(name)
+            found += [secret, view_token(secret)]
+    return found
+
+
+def _asked(serve: ServeConfig, path: str) -> str:
+    """Return the answer of the running service, or the reason why there is none."""
+    if not serve.http_port:
+        return "serve.http_port is not set: the service was not asked\n"
+    host = "localhost" if ip_address(serve.listen).is_unspecified else serve.listen
+    scheme, context = "http", None
+    try:
+        if serve.tls_certificate:
+            # The certificate belongs to the cell and names its host, not this address.
+            scheme, context = "https", ssl.create_default_context(cafile=serve.tls_certificate)
+            context.check_hostname = False
+        token = read_secret(serve.token_file) if serve.token_file else ""
+        request = Request(
+            f"{scheme}://{f'[{host}]' if ':' in host else host}:{serve.http_port}{path}",
+            headers={"Authorization": f"Bearer {token}"},
+        )
+        with urlopen(request, timeout=_PATIENCE_S, context=context) as answer:
+            return str(answer.read().decode())
+    except (OSError, ConfigError) as error:
+        return f"the service did not answer: {error}\n"
+
+
+def _journal() -> str:
+    """Return the newest lines of the service's journal, or the reason why there are none."""
+    if shutil.which("journalctl") is None:
+        return "this machine has no journalctl\n"
+    command = ["journalctl", "-u", NAME, "-n", str(_LINES), "--no-pager", "-o", "short-iso"]
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=_PATIENCE_S, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"the journal cannot be read: {error}\n"
+    return (done.stdout + done.stderr).decode(errors="replace")
 
 
 def install(
@@ -31,15 +334,15 @@ def install(
     """
     served_with = () if model is None else ("--model", str(model.resolve()))
     checked = cell_config(config)
-    files = system.system_files(checked, config, served_with)
+    files = system_files(checked, config, served_with)
     changed = False
     if config is not None and not checked.serve.ports:
         print_note(ALL_CLOSED)
-    for path in (Path(system.program()[0]), config, model):
-        if path is not None and (closed := system.closed_to_others(path)) is not None:
+    for path in (Path(program()[0]), config, model):
+        if path is not None and (closed := closed_to_others(path)) is not None:
             print_note(
-                f"{path}: the user {system.NAME} cannot read {closed}; move it, for example to "
-                f"{system.STATE_FOLDER} or /opt, or permit it: chmod o+rX"
+                f"{path}: the user {NAME} cannot read {closed}; move it, for example to "
+                f"{STATE_FOLDER} or /opt, or permit it: chmod o+rX"
             )
     for file in files:
         path = root / file.path.relative_to("/")
@@ -51,7 +354,7 @@ def install(
         print_line("# nothing was written; add --apply to write these files")
     elif changed:
         print_line("now, as root:")
-        for command in system.AFTER_WRITING:
+        for command in AFTER_WRITING:
             print_line(f"  {command}")
 
 
