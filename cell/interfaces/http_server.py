@@ -3,13 +3,12 @@
 It serves the ASGI applications of `cell.interfaces.web` and `cell.interfaces.xml_rpc`.
 """
 
-import json
 import socket
 from collections.abc import Awaitable, Callable, MutableMapping
-from dataclasses import dataclass
 from typing import Any
 
 import uvicorn
+from starlette.responses import JSONResponse
 
 from cell.config.serve import ServeConfig
 from cell.errors import RequestRefused
@@ -46,94 +45,10 @@ Scope = MutableMapping[str, Any]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 
 
-def refusal_values(text: str, remedy: str) -> dict[str, Any]:
-    """Return the refusal of a request that has not reached the cell, in the common form."""
-    return {"fault_number": CATALOGUE[RequestRefused].number, "error": text, "remedy": remedy}
-
-
-async def send_answer(send: Send, status: int, body: bytes, media_type: str) -> None:
-    """Answer a request."""
-    fields = [(b"content-type", media_type.encode()), (b"content-length", b"%d" % len(body))]
-    await send({"type": "http.response.start", "status": status, "headers": fields})
-    await send({"type": "http.response.body", "body": body})
-
-
-async def refuse(send: Send, status: int, text: str, remedy: str) -> None:
-    """Refuse a request that has not reached the cell."""
-    body = json.dumps(refusal_values(text, remedy)).encode()
-    await send_answer(send, status, body, "application/json")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Gate:
-    """ASGI middleware: refuses clients, names, origins and sizes before anything is read."""
-
-    app: Any
-    config: ServeConfig
-    """Contains the allow-list."""
-    pages: bool
-    """Whether pages of this origin may send requests; other pages are always refused."""
-    listener: Listener
-    """Socket of the server: it ends connections whose request is late."""
-    idle_s: float
-    """Silence in s between two requests that the server permits."""
-
-    async def __call__(self, scope: Scope, receive: Any, send: Send) -> None:
-        """Pass a request on, or answer 403 or 413."""
-        length = _body_bytes(scope)
-        refused = self._refusal(scope, length)
-
-        async def watched() -> Any:
-            message = await receive()
-            if not message.get("more_body", False):
-                self.listener.heard(scope["client"])
-            return message
-
-        if scope["type"] == "websocket" or not length:
-            self.listener.heard(scope["client"])
-        if refused is None:
-            await self.app(scope, watched, send)
-        elif scope["type"] == "websocket":
-            await receive()
-            await send({"type": "websocket.close", "code": 1008})
-        else:
-            # A connection that closes with input unread resets the answer.
-            while length and length <= REQUEST_BYTES and (await receive()).get("more_body", False):
-                pass
-            status, text, cause = refused
-            await refuse(send, status, text, REMEDIES[cause])
-        self.listener.expect(scope["client"], self.idle_s + self.config.request_timeout_s)
-
-    def _refusal(self, scope: Scope, length: int | None) -> tuple[int, str, str] | None:
-        """Return status, text and cause (of `REMEDIES`) of a refusal; None for no refusal."""
-        headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
-        hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
-        client, reached = scope.get("client"), scope.get("server")
-        config = self.config
-        if client is None or reached is None or not may_connect(client[0], config):
-            return 403, "this client is not in serve.allow", "client"
-        if not is_for_this_machine(hosts, reached[0], config):
-            return 403, f"Host {', '.join(hosts)!r:.80} is not this machine", "host"
-        origin = headers.get(b"origin")
-        if origin is not None and not (self.pages and self._is_own(origin, hosts[0], scope)):
-            text = f"the request comes from a page of another origin, {origin!r:.80}"
-            return 403, text, "origin"
-        if length is None:
-            return 413, "the request has no valid Content-Length", "length"
-        if length > REQUEST_BYTES:
-            return 413, f"the body has {length} bytes, more than {REQUEST_BYTES}", "size"
-        return None
-
-    def _is_own(self, origin: str, host: str, scope: Scope) -> bool:
-        """Whether an origin is that of the cell's own page.
-
-        Its scheme is that of the connection. A proxy with TLS on this machine serves names of
-        ``serve.hosts`` over https.
-        """
-        tls = scope["scheme"] in ("https", "wss")
-        proxied = is_loopback(scope["client"][0]) and name_of(host) in self.config.hosts
-        schemes = ("https",) if tls else ("http", "https") if proxied else ("http",)
-        return origin in (f"{scheme}://{host}" for scheme in schemes)
+def refusal(status: int, text: str, remedy: str) -> JSONResponse:
+    """Return the answer to a request that has not reached the cell, in the common form."""
+    number = CATALOGUE[RequestRefused].number
+    return JSONResponse({"fault_number": number, "error": text, "remedy": remedy}, status)
 
 
 def _body_bytes(scope: Scope) -> int | None:
@@ -146,9 +61,10 @@ def _body_bytes(scope: Scope) -> int | None:
 
 
 class HttpServer:
-    """Serves an application behind the gate, at an address and port.
+    """Serves an application at an address and port.
 
-    Raises OSError if it cannot listen there, or if a file cannot be read.
+    It refuses clients, names, origins and sizes before anything is read. Raises OSError if it
+    cannot listen there, or if a file cannot be read.
 
     Parameters
     ----------
@@ -157,7 +73,7 @@ class HttpServer:
     port
         TCP port; 0: any free one.
     pages
-        As `Gate`.
+        Whether pages of this origin may send requests; other pages are always refused.
     idle_s
         Silence in s between two requests after which a connection is closed.
     settings
@@ -177,15 +93,10 @@ class HttpServer:
         self._listener = Listener(config.listen, port, config.request_timeout_s)
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
         self.port = self._listener.port
-        gate = Gate(
-            app=app,
-            config=config,
-            pages=pages,
-            listener=self._listener,
-            idle_s=idle_s,
-        )
+        self._application, self._config = app, config
+        self._pages, self._idle_s = pages, idle_s
         server = uvicorn.Config(
-            gate,
+            self,
             log_config=None,
             access_log=False,
             lifespan="off",
@@ -214,3 +125,60 @@ class HttpServer:
     def close(self) -> None:
         """Close the socket."""
         self._listener.close()
+
+    async def __call__(self, scope: Scope, receive: Any, send: Send) -> None:
+        """Pass a request on, or answer 403 or 413; this is an ASGI application."""
+        length = _body_bytes(scope)
+        refused = self._refusal(scope, length)
+
+        async def watched() -> Any:
+            message = await receive()
+            if not message.get("more_body", False):
+                self._listener.heard(scope["client"])
+            return message
+
+        if scope["type"] == "websocket" or not length:
+            self._listener.heard(scope["client"])
+        if refused is None:
+            await self._application(scope, watched, send)
+        elif scope["type"] == "websocket":
+            await receive()
+            await send({"type": "websocket.close", "code": 1008})
+        else:
+            # A connection that closes with input unread resets the answer.
+            while length and length <= REQUEST_BYTES and (await receive()).get("more_body", False):
+                pass
+            status, text, cause = refused
+            await refusal(status, text, REMEDIES[cause])(scope, receive, send)
+        self._listener.expect(scope["client"], self._idle_s + self._config.request_timeout_s)
+
+    def _refusal(self, scope: Scope, length: int | None) -> tuple[int, str, str] | None:
+        """Return status, text and cause (of `REMEDIES`) of a refusal; None for no refusal."""
+        headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
+        hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
+        client, reached = scope.get("client"), scope.get("server")
+        config = self._config
+        if client is None or reached is None or not may_connect(client[0], config):
+            return 403, "this client is not in serve.allow", "client"
+        if not is_for_this_machine(hosts, reached[0], config):
+            return 403, f"Host {', '.join(hosts)!r:.80} is not this machine", "host"
+        origin = headers.get(b"origin")
+        if origin is not None and not (self._pages and self._is_own(origin, hosts[0], scope)):
+            text = f"the request comes from a page of another origin, {origin!r:.80}"
+            return 403, text, "origin"
+        if length is None:
+            return 413, "the request has no valid Content-Length", "length"
+        if length > REQUEST_BYTES:
+            return 413, f"the body has {length} bytes, more than {REQUEST_BYTES}", "size"
+        return None
+
+    def _is_own(self, origin: str, host: str, scope: Scope) -> bool:
+        """Whether an origin is that of the cell's own page.
+
+        Its scheme is that of the connection. A proxy with TLS on this machine serves names of
+        ``serve.hosts`` over https.
+        """
+        tls = scope["scheme"] in ("https", "wss")
+        proxied = is_loopback(scope["client"][0]) and name_of(host) in self._config.hosts
+        schemes = ("https",) if tls else ("http", "https") if proxied else ("http",)
+        return origin in (f"{scheme}://{host}" for scheme in schemes)

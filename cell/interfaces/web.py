@@ -40,7 +40,7 @@ from cell.interfaces.http_server import (
     REMEDIES,
     REQUEST_BYTES,
     HttpServer,
-    refusal_values,
+    refusal,
 )
 from cell.interfaces.metrics import CONTENT_TYPE, metrics_text
 from cell.interfaces.page import mount_page
@@ -609,17 +609,17 @@ def _refused(_request: Request, error: Exception) -> JSONResponse:
     """Return a refusal in the common form: number, text, remedy."""
     match error:
         case NotThere():
-            return JSONResponse(refusal_values(str(error), error.remedy), 404)
+            return refusal(404, str(error), error.remedy)
         case StarletteHTTPException():
             cause = _CAUSES.get(error.status_code)
             remedy = CATALOGUE[RequestRefused].remedy if cause is None else REMEDIES[cause]
-            return JSONResponse(refusal_values(str(error.detail), remedy), error.status_code)
+            return refusal(error.status_code, str(error.detail), remedy)
         case RequestValidationError():
             complaints = "; ".join(
                 f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()
             )
-            return JSONResponse(refusal_values(complaints, CATALOGUE[RequestRefused].remedy), 422)
+            return refusal(422, complaints, CATALOGUE[RequestRefused].remedy)
     status = next((code for kind, code in _STATUS.items() if isinstance(error, kind)), 500)
-    refusal = Refusal.of(error)
-    shown = {"fault_number": refusal.number, "error": refusal.text, "remedy": refusal.remedy}
+    why = Refusal.of(error)
+    shown = {"fault_number": why.number, "error": why.text, "remedy": why.remedy}
     return JSONResponse(shown, status)

@@ -14,12 +14,14 @@ from math import atan2, cos, hypot, sin
 from typing import Any, cast
 from xmlrpc.server import SimpleXMLRPCDispatcher
 
+from starlette.responses import Response
+
 from cell.control.part import Part
 from cell.control.plan import Pose
 from cell.errors import ConfigError, NotMeasured, RequestRefused
 from cell.fault_catalogue import Refusal, for_display
 from cell.interfaces.access import read_secret, same_secret
-from cell.interfaces.http_server import HttpServer, Scope, Send, refuse, send_answer
+from cell.interfaces.http_server import HttpServer, Scope, Send, refusal
 from cell.service.service import Service
 
 CLIENT: ContextVar[str] = ContextVar("client", default="")
@@ -360,19 +362,20 @@ class _Dispatcher(SimpleXMLRPCDispatcher):
             body += message["body"]
             more = message.get("more_body", False)
         if scope["path"] not in _PATHS:
-            await refuse(send, 404, f"{scope['path']!r:.80} takes no calls", _REMEDY)
+            answer: Response = refusal(404, f"{scope['path']!r:.80} takes no calls", _REMEDY)
         elif scope["method"] != "POST":
-            await refuse(send, 405, f"{scope['method']} is not a call", _REMEDY)
+            answer = refusal(405, f"{scope['method']} is not a call", _REMEDY)
         elif fields.get(b"content-type", "").partition(";")[0].strip() != "text/xml":
-            await refuse(send, 403, "the Content-Type is not text/xml", _REMEDY)
+            answer = refusal(403, "the Content-Type is not text/xml", _REMEDY)
         elif (coding := fields.get(b"content-encoding", "identity")) != "identity":
-            await refuse(send, 501, f"Content-Encoding {coding!r:.40} is not supported", _REMEDY)
+            answer = refusal(501, f"Content-Encoding {coding!r:.40} is not supported", _REMEDY)
         elif (call := _decoded(body)) is None:
-            await refuse(send, 501, "the call is not in UTF-8, or has a DOCTYPE", _REMEDY)
+            answer = refusal(501, "the call is not in UTF-8, or has a DOCTYPE", _REMEDY)
         else:
             CLIENT.set(scope["client"][0])
             found = await asyncio.to_thread(self._marshaled_dispatch, call)
-            await send_answer(send, 200, cast("bytes", found), "text/xml")
+            answer = Response(cast("bytes", found), headers={"content-type": "text/xml"})
+        await answer(scope, receive, send)
 
 
 def _decoded(body: bytes) -> str | None:

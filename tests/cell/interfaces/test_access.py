@@ -7,7 +7,7 @@ import socket
 import struct
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -26,7 +26,7 @@ from cell.interfaces.access import (
     same_secret,
 )
 from cell.interfaces.cli.commands.serve import report_until
-from cell.interfaces.http_server import REQUEST_BYTES, Gate
+from cell.interfaces.http_server import REQUEST_BYTES, HttpServer
 from cell.interfaces.opening import open_interfaces, running, warnings
 from cell.interfaces.page_address import page_address, view_note
 from tests.cell.conftest import small_config
@@ -309,7 +309,7 @@ def test_the_address_for_others_is_that_of_this_machine_on_their_way(monkeypatch
     assert asked[:2] == ["10.128.0.0", "192.168.7.128"]
 
 
-# -- The gate before every HTTP application: what it refuses, and when it answers ------------------
+# -- What the server refuses before every HTTP application, and when it answers --------------------
 
 
 def order_of(length: int, host: bytes) -> tuple[list[str], int]:
@@ -330,20 +330,14 @@ def order_of(length: int, host: bytes) -> tuple[list[str], int]:
     async def app(scope: Any, receive: Any, send: Any) -> None:
         raise AssertionError("the request has passed")
 
-    gate = Gate(
-        app=app,
-        config=ServeConfig(),
-        pages=False,
-        listener=Mock(),
-        idle_s=5,
-    )
     scope = {
         "type": "http",
         "headers": [(b"host", host), (b"content-length", str(length).encode())],
         "client": ("127.0.0.1", 1),
         "server": ("127.0.0.1", 2),
     }
-    asyncio.run(gate(scope, receive, send))
+    with closing(HttpServer(app, ServeConfig(), 0)) as server:
+        asyncio.run(server(scope, receive, send))
     return order, status[0]
 
 
