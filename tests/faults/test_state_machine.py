@@ -1,14 +1,24 @@
 """Random commands and faults: after each step all invariants hold."""
 
+import logging
 import re
+import shutil
+import tempfile
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, Phase, given, seed, settings, strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 
+from cell.build import Cell, build_cell
+from cell.control.controller import CellController
 from cell.control.lifecycle import CellLifecycle
+from cell.control.plan import GraspStep, Keep, Pose
+from cell.simulation import simulation_of
 from gripper.dynamixel.control_table import REGISTERS
 from gripper.force.loop import Action
 from gripper.force.supervision.empty_grip import EmptyGrip
@@ -16,13 +26,490 @@ from gripper.force.supervision.part_watch import PartWatch
 from gripper.gripper import Gripper
 from gripper.servos.group import Servos
 from gripper.values.state import GripperPhase
+from simulator.errors import SimulatorError
 from simulator.faults.injector import check_fault
-from tests.cell.conftest import once
-from tests.faults import state_machine
-from tests.faults.invariants import InvariantBroken
-from tests.faults.state_machine import PIECES, STEPS, Driver, fault_texts, run_machine
+from simulator.faults.vocabulary import VOCABULARY, FaultEntry, Number
+from tests.cell.conftest import COARSE_PADS, once
+from tests.faults.campaign import PRODUCT_ERRORS, campaign_config
+from tests.faults.invariants import (
+    FrameWitness,
+    InvariantBroken,
+    InvariantMonitor,
+    Overrun,
+    recording_faults,
+    spoiling,
+)
 from tests.fuzz.harness import seed_of_run
 from tests.marks import LONG
+from tests.values import command_of
+
+PIECES = 10
+"""Pieces that the tests run, each from a seed of its own."""
+STEPS = 300
+"""Steps of one of them."""
+ROUNDS = 50
+"""Rules that are drawn for one cell before a new one takes its place."""
+_STEPS_OF_ROUNDS = 75
+"""About so many steps are driven by them: a grasp with a fault is two, a recovery seven."""
+
+# Faults: every name of the vocabulary, any value, any moment
+
+_GENTLE = {
+    "can.flood": (10.0, 2000.0),
+    "can.delayed": (0.001, 0.5),
+    "can.lose_next": (1, 30),
+    "servos.lose_next": (1, 2),
+    "unit.forces_late": (0.002, 0.1),
+    "unit.forces_each": (1, 30),
+    "unit.force_gain": (-1.5, 3.0),
+    "unit.force_offset": (-6.0, 6.0),
+    "unit.centre_shift": (-3.0, 3.0),
+    "object.slips": (5.0, 200.0),
+    "servoN.supply": (5.0, 16.0),
+    "servoN.jump": (-0.5, 0.5),
+    "servoN.turn": (-2, 2),
+    "servoN.drift": (-0.5, 0.5),
+    "taxels.offset": (-60.0, 60.0),
+    "taxels.gain": (0.0, 3.0),
+    "taxels.force_gain": (0.0, 3.0),
+    "taxels.saturated": (0.0, 1.0),
+}
+"""Where most of a fault's range is of no interest, the part that is drawn from."""
+_SETTINGS = (
+    "servoN.wrong=operating_mode:1",
+    "servoN.wrong=current_limit:100",
+    "servoN.wrong=temperature_limit:40",
+    "servoN.wrong=shutdown:0",
+    "servoN.wrong=return_delay_time:250",
+    "servoN.wrong=baud_rate:1",
+    "unit.wrong=serial:99",
+    "unit.wrong=product:7",
+    "unit.wrong=taxels:400",
+    "taxels.stuck_at=7:0",
+    "taxels.stuck_at=3:200",
+)
+
+
+def _values(entry: FaultEntry) -> st.SearchStrategy[str]:
+    if entry.value is None:
+        return st.just(entry.name)
+    if not isinstance(entry.value, Number):
+        return st.sampled_from([text for text in _SETTINGS if text.startswith(entry.name)])
+    low, high = _GENTLE.get(entry.name, (entry.value.low, entry.value.high))
+    if entry.value.whole:
+        number = st.integers(int(low), int(high)).map(str)
+    else:
+        number = st.floats(low, high).map(lambda value: f"{value:.4g}")
+    return st.one_of(st.just(entry.name), number.map(lambda value: f"{entry.name}={value}"))
+
+
+def _windows(entry: FaultEntry) -> st.SearchStrategy[str]:
+    at = st.one_of(
+        st.just(""),
+        st.integers(0, 900).map(lambda ms: f"@{ms}ms"),
+        st.integers(0, 300).map(lambda ms: f"@contact+{ms}ms"),
+        st.just("@moving"),
+    )
+    if entry.moment:
+        return at
+    timed = st.tuples(st.integers(0, 900), st.integers(10, 600)).map(
+        lambda pair: f"@{pair[0]}ms..{sum(pair)}ms"
+    )
+    return st.one_of(at, timed)
+
+
+def fault_texts() -> st.SearchStrategy[str]:
+    """Return texts of every fault of the vocabulary, at random moments."""
+
+    def of(entry: FaultEntry) -> st.SearchStrategy[str]:
+        text = st.tuples(_values(entry), _windows(entry)).map("".join)
+        if not entry.name.startswith("servoN"):
+            return text
+        number = st.sampled_from(("servo1", "servo2"))
+        return st.tuples(number, text).map(lambda pair: pair[1].replace("servoN", pair[0]))
+
+    # The machine's cell has no axes or boards, and nobody mounts a finger the other way round while
+    # it runs.
+    names = sorted(
+        name
+        for name in VOCABULARY
+        if not name.startswith(("axisN", "board")) and name != "servoN.turned"
+    )
+    return st.sampled_from(names).flatmap(lambda name: of(VOCABULARY[name]))
+
+
+_FAULTS = fault_texts()
+_FORCE = st.sampled_from((0.7, 1.0, 3.0, 3.0, 5.0, 8.0, 14.2, 14.9, 40.0))
+_TURN_RAD = st.sampled_from((0.0, 0.7, 1.57))
+_READY = st.sampled_from(("", "start", "recover", "recover "))
+_WAIT_S = st.sampled_from((0.005, 0.02, 0.1, 0.4))
+_X_MM = st.sampled_from((0.0, 1.0, -2.0, 4.0, 40.0))
+_JOBS = st.one_of(
+    st.tuples(st.just("grasp"), _X_MM, _FORCE, _TURN_RAD),
+    st.tuples(st.just("identify"), _FORCE, st.sampled_from(Keep)),
+    st.tuples(st.just("grip"), _FORCE),
+    st.tuples(st.just("carry"), _FORCE, _FAULTS, _WAIT_S),
+)
+"""Methods of `Driver` that move the fingers, with their arguments."""
+_PLAIN = ("start", "verify", "cancel", "release", "release_held", "reset", "shutdown")
+_OTHERS = st.one_of(
+    st.tuples(st.just("do"), st.sampled_from(_PLAIN)),
+    st.tuples(st.just("clear"), st.booleans()),
+    st.tuples(st.just("wait"), _WAIT_S),
+    st.tuples(st.just("kill"), st.sampled_from((0.0, 0.05, 0.3))),
+    st.tuples(st.just("inject"), _FAULTS),
+    st.tuples(st.just("place"), st.sampled_from(("ball", "box"))),
+    st.tuples(st.sampled_from(("restart", "heal", "recover"))),
+)
+"""Its other methods."""
+
+
+class CellMachine(RuleBasedStateMachine):
+    """A cell under random commands and faults; see `Driver`."""
+
+    taken = 0
+
+    @initialize(self_test=st.booleans(), fast=st.booleans(), started=st.booleans())
+    def begin(self, self_test: bool, fast: bool, started: bool) -> None:
+        self.driver = Driver(self_test=self_test, fast=fast)
+        if started:
+            self.driver.do("start")
+
+    @rule(
+        ready=_READY,
+        faults=st.lists(_FAULTS, max_size=2),
+        cancel_s=st.none() | st.floats(0.0, 0.9),
+        job=_JOBS,
+    )
+    def job(self, ready: str, faults: list[str], cancel_s: float | None, job: Any) -> None:
+        """Run a job, with faults, or with a stop that another thread asks for."""
+        self.driver.make_ready(ready)
+        for text in faults:
+            self.driver.inject(text)
+        if cancel_s is not None:
+            self.driver.cancel_soon(cancel_s)
+        self._do(job)
+
+    @rule(commands=st.lists(_OTHERS, min_size=1, max_size=4))
+    def others(self, commands: list[Any]) -> None:
+        for command in commands:
+            self._do(command)
+
+    def _do(self, command: Any) -> None:
+        name, *arguments = command
+        getattr(self.driver, name)(*arguments)
+
+    def teardown(self) -> None:
+        if hasattr(self, "driver"):
+            CellMachine.taken += self.driver.steps
+            self.driver.close()
+
+
+def run_machine(steps: int, number: int) -> int:
+    """Run at least so many steps, from a seed, which an error names; return how many they were."""
+    logging.disable(logging.CRITICAL)
+    CellMachine.taken = part = 0
+    try:
+        while CellMachine.taken < steps:
+            part += 1
+            chosen = settings(
+                max_examples=max(1, (steps - CellMachine.taken) // _STEPS_OF_ROUNDS),
+                stateful_step_count=ROUNDS,
+                deadline=None,
+                database=None,
+                phases=(Phase.generate,),
+                print_blob=False,
+                suppress_health_check=list(HealthCheck),
+            )
+            seeded = seed(1000 * number + part)(CellMachine)
+            run_state_machine_as_test(seeded, settings=chosen)
+    except Exception as error:
+        error.add_note(f"seed {number}")
+        raise
+    finally:
+        logging.disable(logging.NOTSET)
+    return CellMachine.taken
+
+
+# -- A host program on simulated hardware, driven step by step, with every invariant checked -------
+
+
+COMMAND_BOUND_S = 20.0
+"""Every command has to be over within so many s of simulated time."""
+_REMOUNTED = ("servoN.jump", "servoN.horn", "servoN.turned")
+"""Faults whose end sends a finger to its goal from elsewhere: the world moves it, not the cell."""
+_UNTRUSTED = ("object.trapped", "servoN.jump", "servoN.stuck", "servoN.turn", "servoN.drift")
+"""Faults after which position or force are not known: the torque may go off."""
+
+
+_SHORT_COMMANDS = {
+    "tactile.layout": COARSE_PADS,
+    "gripper.loop_rate_hz": 100.0,
+    "gripper.aperture_open_mm": 12.0,
+    "gripper.approach_speed_mm_s": 20.0,
+    "gripper.contact_timeout_s": 2.0,
+    "sequence.ramp": {"kind": "linear", "rate_n_s": 20.0, "hold_s": 0.05},
+    "sequence.max_grasps": 2,
+}
+"""Config whose commands take little time: coarse pads, a slow loop, short ways."""
+_FAST_FINGERS = {
+    "gripper.approach_speed_mm_s": 200.0,
+    "gripper.force_max_n": 8.0,
+    "gripper.linkage.link_mm": 45.0,
+    "sequence.force_n": [2.0, 5.0],
+}
+"""Config that asks for an approach whose impact would be far above its cap of the force."""
+
+
+class Driver:
+    """Hardware that stays, host programs that come and go.
+
+    With ``self_test`` the start proves the servos' bus watchdog; with ``fast`` the config asks for
+    faster fingers than its cap of the force allows.
+    """
+
+    def __init__(self, *, self_test: bool, fast: bool = False) -> None:
+        self._config = campaign_config(
+            _SHORT_COMMANDS
+            | {"gripper.watchdog_self_test": self_test}
+            | (_FAST_FINGERS if fast else {})
+        )
+        self._folder = Path(tempfile.mkdtemp(prefix="tactile-cell-machine-"))
+        self.simulated = simulation_of(self._config)
+        self.simulated.place("ball")
+        self.monitor = InvariantMonitor(self.simulated, self._config.gripper)
+        self.steps = 0
+        self.log: list[str] = []
+        self._hosts = 0
+        self._scanned: set[bytes] = set()
+        self._counter = -1
+        self._untrusted = self._remounted = False
+        self.simulated.clock.on_advance.append(self._watch_scans)
+        self.cell = self._new_host()
+
+    @property
+    def controller(self) -> CellController:
+        return self.cell.controller
+
+    def command(
+        self, name: str, call: Callable[[], Any], *, release: bool = False, reboot: bool = False
+    ) -> bool:
+        """Run a command to its end; return whether it did what it was asked for."""
+        self._begin(name)
+        done = True
+        try:
+            with self.monitor.bounded(COMMAND_BOUND_S):
+                if release or reboot:
+                    with self.monitor.release_asked(motion=release):
+                        call()
+                else:
+                    call()
+        except PRODUCT_ERRORS as error:
+            done = False
+            self.log[-1] += f" -> {type(error).__name__}: {str(error)[:100]}"
+        except (InvariantBroken, Overrun) as error:
+            self.monitor.broken.append(str(error))
+        except Exception as error:
+            self.monitor.broken.append(f"{name} ended with {type(error).__name__}: {error}")
+        self._end()
+        return done
+
+    def do(self, name: str) -> bool:
+        """Run a command without arguments; `release_held` lets go of what an earlier host left."""
+        command = command_of(self.controller, name)
+        return self.command(name, command, release=name.startswith("release"))
+
+    def grasp(self, x_mm: float, force_n: float, turn_rad: float) -> bool:
+        step = GraspStep(pose=Pose(x_m=1e-3 * x_mm, rotation_rad=turn_rad), force_n=force_n)
+        return self.command(
+            f"grasp x={x_mm} mm, {force_n} N, {turn_rad} rad", lambda: self.controller.grasp(step)
+        )
+
+    def grip(self, force_n: float) -> bool:
+        return self.command(f"grip {force_n} N", lambda: self.controller.grip(force_n, Pose()))
+
+    def identify(self, force_n: float, keep: Keep = Keep.NEVER) -> bool:
+        step = GraspStep(pose=Pose(), force_n=force_n)
+        witness = FrameWitness(
+            lambda: self._scanned,
+            lambda: spoiling(self.simulated.injector.faults, self.simulated.clock.monotonic()),
+        )
+        return self.command(
+            f"identify {force_n} N, keep {keep}",
+            lambda: self.controller.identify(witness, [step], early=True, keep=keep),
+        )
+
+    def cancel_soon(self, after_s: float) -> None:
+        """Let another thread ask for a stop in so many s."""
+        due_s = self.simulated.clock.monotonic() + after_s
+        controller = self.controller
+        self._begin(f"cancel in {after_s} s")
+
+        def look(now_s: float) -> None:
+            if now_s >= due_s:
+                self.simulated.clock.on_advance.remove(look)
+                controller.life.cancel()
+
+        self.simulated.clock.on_advance.append(look)
+        self._end()
+
+    def carry(self, force_n: float, text: str, seconds: float) -> None:
+        """Grip, bring a fault about while the part is carried, and look at it."""
+        if self.grip(force_n):
+            self.inject(text)
+            self.wait(seconds)
+            self.do("verify")
+
+    def clear(self, reboot: bool) -> bool:
+        """Acknowledge the fault. A servo that is rebooted lets go: it was asked for."""
+        name = f"clear reboot={reboot}"
+        return self.command(name, lambda: self.controller.life.clear(reboot=reboot), reboot=reboot)
+
+    def wait(self, seconds: float) -> None:
+
+        def idle() -> None:
+            clock = self.simulated.clock
+            end_s = clock.monotonic() + seconds
+            while clock.monotonic() < end_s:
+                clock.sleep(self.controller.hand.period_s)
+                self.controller.life.tick()
+
+        self.command(f"wait {seconds} s", idle)
+
+    def restart(self) -> None:
+        self._begin("restart the host")
+        self._finish_host()
+        self.cell = self._new_host()
+        self._end()
+
+    def kill(self, dead_s: float) -> None:
+        """Kill the host program; after a time another one comes."""
+        self._begin(f"kill the host for {dead_s} s")
+        recording = self.cell.recording_path
+        if recording is not None:
+            copy = self._folder / "killed.mcap"
+            shutil.copyfile(recording, copy)
+            self.monitor.broken += recording_faults(copy, whole=False)
+        self.monitor.attach(None)
+        for open_anew in (self.simulated.open_servo_port, self.simulated.open_can_bus):
+            with suppress(SimulatorError):  # an adapter that is out is so for both hosts
+                open_anew()  # what the old one has fails from now on
+        self.cell.close()
+        self.simulated.clock.sleep(dead_s)
+        self.cell = self._new_host()
+        self._end()
+
+    def _new_host(self) -> Cell:
+        self._hosts += 1
+        folder = self._folder / f"host{self._hosts}"
+        folder.mkdir()
+        cell = build_cell(self._config, folder=folder, simulated=self.simulated)
+        self.monitor.attach(cell)
+        cell.controller.moves.present("ball")
+        return cell
+
+    def _finish_host(self) -> None:
+        recording = self.cell.recording_path
+        try:
+            self.cell.close()
+        except Exception as error:
+            self.monitor.broken.append(f"close() raised {type(error).__name__}: {error}")
+        self.monitor.attach(None)
+        if recording is not None:
+            self.monitor.broken += recording_faults(recording, whole=True)
+            shutil.rmtree(recording.parent)
+
+    def inject(self, text: str) -> None:
+        """Inject a fault; one that is refused changes nothing."""
+        self._begin(f"inject {text}")
+        try:
+            fault = self.simulated.inject(text)
+        except SimulatorError as error:
+            self.log[-1] += f" -> {error}"
+        else:
+            self._untrusted = self._untrusted or fault.entry.name in _UNTRUSTED
+            self._remounted = self._remounted or fault.entry.name in _REMOUNTED
+        self._end()
+
+    def heal(self) -> None:
+        """End all faults, and plug everything in."""
+        self._begin("heal")
+        if self._remounted:
+            self.monitor.pushed()
+        self._remounted = False
+        self.simulated.injector.clear_all()
+        for motor in self.simulated.devices.mechanics.motors:
+            motor.encoder_offset_rad, motor.temperature_c = 0.0, 25.0
+        self._end()
+
+    def place(self, label: str) -> None:
+        """Bring another object, where the fingers let it."""
+        self._begin(f"place {label}")
+        try:
+            self.simulated.place(label)
+        except SimulatorError as error:
+            self.log[-1] += f" -> {error}"
+        else:
+            self.controller.moves.present(label)
+        self._end()
+
+    def recover(self) -> None:
+        """Do what a person does after a fault, until the cell is started again."""
+        self.heal()
+        if self.controller.life.fault is not None:
+            self.clear(reboot=True)
+        self.wait(0.5)
+        for states, name in (
+            ({"RESETTING"}, "release_held"),
+            ({"RESETTING"}, "reset"),
+            ({"COMPLETE", "HELD", "IDLE"}, "release"),
+        ):
+            if self.controller.life.state.value in states:
+                self.do(name)
+        if self.simulated.devices.world.placed is None:
+            self.place("ball")
+        self._untrusted = False
+        if self.controller.life.state.value == "STOPPED":
+            self.do("start")
+
+    def make_ready(self, how: str) -> None:
+        """Do what may be needed before a grasp: nothing, a start, or all that a person does."""
+        if self.controller.life.state.value != "IDLE" and how:
+            self.do("start") if how == "start" else self.recover()
+
+    def close(self) -> None:
+        self.monitor.close()
+        self._finish_host()
+        self.simulated.close()
+        shutil.rmtree(self._folder, ignore_errors=True)
+        self.check()
+
+    def check(self) -> None:
+        """Raise InvariantBroken with all steps so far, if anything was broken."""
+        if self.monitor.broken:
+            steps = "\n  ".join(self.log)
+            raise InvariantBroken(f"{'; '.join(self.monitor.broken[:3])}\nafter\n  {steps}")
+
+    def _begin(self, name: str) -> None:
+        now_s = self.simulated.clock.monotonic()
+        self.log.append(f"{now_s:8.3f} s {self.controller.life.state.value:<10} {name}")
+        self.steps += 1
+
+    def _end(self) -> None:
+        self.monitor.limp_allowed = self._untrusted
+        self.check()
+
+    def _watch_scans(self, _now_s: float) -> None:
+        scanner = self.simulated.unit.scanner
+        if scanner.counter != self._counter:
+            self._counter = scanner.counter
+            frame = scanner.last_frame()
+            if frame is not None:
+                self._scanned.add(frame)
+
+
+# -- Whatever is asked and whatever fails, all invariants hold -------------------------------------
+
 
 WALKS = [(seed, 50) for seed in (1, 2, 3, 4)]
 """Seed and steps of the walks of each change."""
@@ -146,7 +633,7 @@ def cell() -> Iterator[Driver]:
 
 
 def test_a_label_from_spoiled_taxels_is_found(cell, monkeypatch) -> None:
-    monkeypatch.setattr(state_machine, "spoiling", lambda _faults, _now_s: ["taxels.off=0.9"])
+    monkeypatch.setattr(f"{__name__}.spoiling", lambda _faults, _now_s: ["taxels.off=0.9"])
     with pytest.raises(InvariantBroken, match=r"a label in spite of taxels.off=0.9"):
         cell.identify(3.0)
 
