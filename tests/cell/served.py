@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,10 +17,12 @@ import numpy as np
 import pytest
 
 from cell.config.model import CellConfig
+from cell.control.journal import Journal
+from cell.control.lifecycle import CellLifecycle, LatchedFault
 from cell.control.live import LiveValues
 from cell.control.part import Part, Verification
 from cell.control.plan import Pose
-from cell.control.states import CellState, Command, GraspState, command_effect, refusal
+from cell.control.states import CellState, Command, command_effect
 from cell.errors import CellStateError, CellStopped, RequestRefused
 from cell.fault_catalogue import error_text, fault_number
 from cell.interfaces.access import ACCEPTED_AT_ONCE
@@ -30,6 +32,7 @@ from cell.runtime.parts import OnPart
 from cell.runtime.plugin import HostStatus, TactileCellPlugin
 from cell.runtime.worker import Job, JobOutcome
 from cell.service.service import Service, open_service
+from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN
 from tests.cell.conftest import quick_config, small_config
 from tests.fuzz.harness import Clock
@@ -240,7 +243,8 @@ class StubPlugin:
         self._paused = self._closed = False
         self._last_answer: Part | None = None
         self._part_numbers = count(1)
-        self._error: Exception | None = None
+        self._hand: Any = SimpleNamespace()
+        self._life = CellLifecycle(self._hand, Journal(None), Clock(), 0.6)
         self.recording_path: Path | None = None
         self.working = True
         self._show(CellState.IDLE, holding=False)
@@ -261,7 +265,7 @@ class StubPlugin:
 
     def ready(self) -> None:
         """Be idle with empty fingers, whatever was before; the job that runs is cancelled."""
-        self._error = None
+        self._life.latched = None
         self._over(JobOutcome.CANCELED, CellState.IDLE, holding=False)
 
     def go_on(self) -> None:
@@ -284,7 +288,7 @@ class StubPlugin:
 
     def fail(self, error: Exception) -> None:
         """Have a fault: the job that runs ends with it, and the grip is kept."""
-        self._error = error
+        self._life.latched = LatchedFault(error_text(error), fault_number(error), since_s=1.0e9)
         self._over(JobOutcome.ABORTED, CellState.ABORTED, error=error_text(error), exception=error)
 
     def show_live(self, live: LiveValues) -> None:
@@ -332,7 +336,8 @@ class StubPlugin:
         return self._accept(("forget", last), Command.GRASP, CellState.EXECUTE, self._end)
 
     def forget_drift(self) -> Job:
-        return self._accept(("forget_drift", False), None, self._cell, (self._cell, False, None))
+        state = self._life.state
+        return self._accept(("forget_drift", False), None, state, (state, False, None))
 
     def health(self) -> dict[str, Any]:
         return self.levels
@@ -376,7 +381,7 @@ class StubPlugin:
     def start_command(
         self, command: Command, *, reboot: bool = False, needless: bool = False
     ) -> Job:
-        state, holding = self._cell, self._status.holding
+        state, holding = self._life.state, self._status.holding
         needed: Command | None = self._needed(command)
         path = command_effect(state, needed).path or (state,)
         if needless and not command_effect(state, needed).accepted:
@@ -386,9 +391,10 @@ class StubPlugin:
         return self._accept((command, reboot), needed, path[0], (end, keeps, None))
 
     def _needed(self, command: Command) -> Command:
-        if command is Command.RELEASE and self._cell in (CellState.RESETTING, CellState.STOPPED):
+        state = self._life.state
+        if command is Command.RELEASE and state in (CellState.RESETTING, CellState.STOPPED):
             return Command.RELEASE_HELD
-        if command is Command.RESET and self._cell is CellState.STOPPED:
+        if command is Command.RESET and state is CellState.STOPPED:
             return Command.START
         return command
 
@@ -397,8 +403,8 @@ class StubPlugin:
             raise CellStateError("the cell is closed")
         if self._running is not None:
             raise CellStateError(f"job {self._running.number} is not over")
-        if needed is not None and not command_effect(self._cell, needed).accepted:
-            raise CellStateError(refusal(self._cell, needed))
+        if needed is not None:
+            self._life.check(needed)
 
     def cancel(self, job: Job, reason: str) -> None:
         if (running := self._running) is not None and job.number == running.number:
@@ -420,7 +426,7 @@ class StubPlugin:
         if isinstance(asked, IdentifyGoal):
             self._last_answer = None
         if needed is Command.CLEAR:
-            self._error = None
+            self._life.latched = None
         self._end = end
         task = asked.task if hasattr(asked, "task") else str(asked[0])
         number = len(self._jobs) + 1
@@ -444,8 +450,8 @@ class StubPlugin:
 
     def _show(self, state: CellState, *, holding: bool) -> None:
         """Set the states in one assignment: interfaces read them in threads of their own."""
-        self._cell = state
-        grasp = GraspState.HOLDING if holding else GraspState.IDLE
+        self._life.state = state
+        self._hand.phase = GripperPhase.HOLDING if holding else GripperPhase.IDLE
         live = LiveValues(
             force_n=GRIP_N if holding else 0.0,
             force_age_s=0.005,
@@ -457,16 +463,5 @@ class StubPlugin:
         )
         if state in (CellState.ABORTED, CellState.STOPPED):
             live = LiveValues()
-        self._status = HostStatus(
-            state=state.value,
-            state_number=state.number,
-            needs_reset=state.needs_reset,
-            grasp=grasp.value,
-            grasp_number=grasp.number,
-            holding=holding,
-            fault=None if self._error is None else error_text(self._error),
-            fault_number=fault_number(self._error),
-            live=live,
-            last_answer=self._last_answer,
-            fault_since_s=None if self._error is None else 1.0e9,
-        )
+        status = asdict(self._life.status)
+        self._status = HostStatus(**status, live=live, last_answer=self._last_answer)
