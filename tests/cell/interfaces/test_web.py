@@ -439,14 +439,13 @@ def test_the_second_request_of_a_connection_has_its_limit_too(connect, monkeypat
     _, host = connect(serve__request_timeout_s=0.3)
     whole = b"POST /api/hold HTTP/1.1\r\nHost: localhost\r\n\r\n"
     with ExitStack() as undo:
-        place = ("127.0.0.1", host.port)
-        links = [undo.enter_context(socket.create_connection(place, 20.0)) for _ in range(2)]
-        for link, first, second in zip(
-            links, (whole, whole + whole[:-2]), (whole[:-2], b""), strict=True
-        ):
+        links = []
+        for first, second in ((whole, whole[:-2]), (whole + whole[:-2], b"")):
+            link = undo.enter_context(socket.create_connection(("127.0.0.1", host.port), 20.0))
             link.sendall(first)
             assert link.recv(1000).startswith(b"HTTP/1.1 200 ")
             link.sendall(second)
+            links.append(link)
         for link in links:
             until(lambda link=link: ended(link))
     with host.live(additional_headers=FORGED) as live:
