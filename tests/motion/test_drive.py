@@ -34,20 +34,22 @@ def bench(make_drive: MakeDrive) -> DriveBench:
 
 
 @pytest.mark.slow
-def test_an_axis_finds_its_home_and_goes_where_it_shall(bench) -> None:
-    for x_m in (0.0, 0.012, -0.02, 0.02):
+@pytest.mark.parametrize(
+    ("homing", "home"),
+    [
+        (HomingMethod.NEGATIVE_SWITCH, -25_000),
+        (HomingMethod.POSITIVE_SWITCH, 25_000),
+        (HomingMethod.HERE, 3_000),
+        (None, 0),
+    ],
+)
+def test_every_way_of_homing_gives_true_positions(make_drive, homing, home) -> None:
+    bench = make_drive(homing=homing, home=home / PER_M)
+    for x_m in (-0.02, 0.012):
         assert bench.move(x_m) == pytest.approx(x_m, abs=NEAR_M)
         assert bench.simulated.position == pytest.approx(x_m, abs=NEAR_M)
     gaps_s = [b - a for a, b in zip(bench.supervised, bench.supervised[1:], strict=False)]
     assert max(gaps_s) < 0.02  # the cell is looked after while an axis moves
-
-
-@pytest.mark.parametrize("homing", [HomingMethod.POSITIVE_SWITCH, HomingMethod.HERE, None])
-def test_every_way_of_homing_gives_true_positions(make_drive, homing) -> None:
-    home = {HomingMethod.POSITIVE_SWITCH: 25_000, HomingMethod.HERE: 3_000, None: 0}[homing]
-    bench = make_drive(homing=homing, home=home / PER_M)
-    bench.move(-0.01)
-    assert bench.simulated.position == pytest.approx(-0.01, abs=NEAR_M)
 
 
 def test_the_speed_is_that_of_the_profile(make_drive) -> None:
