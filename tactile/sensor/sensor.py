@@ -5,7 +5,7 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
 from math import inf, sqrt
-from typing import Self
+from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,8 @@ from tactile.source import (
     SourceIdentity,
     TactileFrame,
 )
+
+_Item = TypeVar("_Item")
 
 _KEPT_FORCES = 1000
 """Size of the queue of force messages: five seconds at 200 a second; older ones are dropped."""
@@ -261,10 +263,7 @@ class TactileSensor:
     def read(self, timeout_s: float = 0.5) -> TactileReading:
         """Wait for a reading newer than this call; FrameTimeout after ``timeout_s``."""
         self.poll()
-        deadline_s = self._clock.monotonic() + timeout_s
-        while not (readings := self.poll()):
-            self._wait(deadline_s, f"no frame within {timeout_s:g} s")
-        return readings[-1]
+        return self._waited(self.poll, timeout_s, f"no frame within {timeout_s:g} s")[-1]
 
     def refresh(self) -> None:
         """Wait until the mean has only new frames. Raises FrameTimeout as `read`."""
@@ -282,17 +281,11 @@ class TactileSensor:
         """
         frames: list[TactileFrame] = []
         self.poll()
-        deadline_s = self._clock.monotonic() + timeout_s
         while len(frames) < n_frames:
-            new = self.source.poll().frames
-            frames += new
-            if new:
-                deadline_s = self._clock.monotonic() + timeout_s
-            else:
-                self._wait(
-                    deadline_s,
-                    f"{len(frames)} of {n_frames} frames for the tare, none within {timeout_s:g} s",
-                )
+            failure = (
+                f"{len(frames)} of {n_frames} frames for the tare, none within {timeout_s:g} s"
+            )
+            frames += self._waited(lambda: self.source.poll().frames, timeout_s, failure)
         counts = np.stack([frame.counts for frame in frames[:n_frames]])
         result = compute_tare(self._hood, counts, self._settings, frames[n_frames - 1].t_s)
         self._frames.clear()
@@ -358,13 +351,19 @@ class TactileSensor:
             if drift:
                 raise ZeroDrifted(drift)
 
-    def _wait(self, deadline_s: float, failure: str) -> None:
-        left_s = deadline_s - self._clock.monotonic()
-        if left_s <= 0.0:
-            raise FrameTimeout(
-                f"{failure}: check that the control unit is powered and that SYNC is running"
-            )
-        self._clock.sleep(min(left_s, _POLL_S))
+    def _waited(
+        self, poll: Callable[[], tuple[_Item, ...]], timeout_s: float, failure: str
+    ) -> tuple[_Item, ...]:
+        """Poll until something has arrived; FrameTimeout with ``failure`` after a time in s."""
+        deadline_s = self._clock.monotonic() + timeout_s
+        while not (arrived := poll()):
+            left_s = deadline_s - self._clock.monotonic()
+            if left_s <= 0.0:
+                raise FrameTimeout(
+                    f"{failure}: check that the control unit is powered and that SYNC is running"
+                )
+            self._clock.sleep(min(left_s, _POLL_S))
+        return arrived
 
     def _reading(self, frame: TactileFrame) -> TactileReading:
         last_s, self._last_s = self._last_s, frame.t_s
