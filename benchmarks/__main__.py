@@ -8,15 +8,7 @@ import importlib
 import sys
 
 BENCHMARKS = {
-    "performance": (
-        "archive",
-        "force_cap",
-        "force_ramps",
-        "identify",
-        "servo_logs",
-        "soak",
-        "touch",
-    ),
+    "performance": ("archive", "force_cap", "force_ramps", "identify", "servo_logs", "soak"),
     "recognition": ("comparators", "other_cell", "sensors"),
     "paper": ("method", "reproduction"),
 }

@@ -215,7 +215,7 @@ class Rig:
             SimulatedServo(i, XM430_W350, m, settings=eeprom) for i, m in enumerate(motors, 1)
         ]
         self._device = ServoBusDevice(simulated, 1_000_000)
-        self._sensor = self._new_sensor(noise_n, seed, rate_hz)
+        self._sensor = PadForces(noise_n, seed, rate_hz)
         self.now_s = self.force_n = 0.0
         self.trace: list[tuple[float, float]] = []
         clock.on_advance.append(self._advance)
@@ -237,9 +237,6 @@ class Rig:
             clock=clock,
             force_sensor=self._sensor,
         )
-
-    def _new_sensor(self, noise_n: float, seed: int, rate_hz: float | None) -> PadForces:
-        return PadForces(noise_n, seed, rate_hz)
 
     def _advance(self, now_s: float) -> None:
         dt_s, self.now_s = now_s - self.now_s, now_s

@@ -2,8 +2,7 @@
 
 import pytest
 
-from benchmarks.performance.force_ramps import PARTS
-from benchmarks.performance.touch import TouchRig
+from benchmarks.performance.force_ramps import NOISE_N, PARTS, Rig
 from gripper.errors import GripContradicted
 from gripper.force.estimates.grip import Grip
 from gripper.force.ramp import ForceRamp
@@ -156,7 +155,8 @@ def test_a_light_part_that_is_taken_is_lost_though_no_finger_runs(
 @pytest.mark.slow
 def test_a_soft_part_that_noise_shows_early_is_not_lost_before_it_is_held() -> None:
     """The approach ends at 0.07 N; the pads are empty for the first tenth of a second."""
-    rig = TouchRig(PARTS["foam ball, 0.2 N/mm"], 200.0, 5033, approach_speed_m_s=0.012)
+    seeds = {"servos": 5033, "seed": 5033}
+    rig = Rig(PARTS["foam ball, 0.2 N/mm"], NOISE_N, **seeds, rate_hz=200.0, force_max_n=15.0)
     rig.gripper.start()
     outcome = rig.gripper.grasp(ForceRamp.linear(3.0, rate_n_s=3.0))
     assert outcome.result is GraspResult.FORCE_REACHED
