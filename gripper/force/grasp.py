@@ -65,8 +65,7 @@ class GraspRun:
         self._settings = settings
         self._end = threading.Event()
         self._ramp_step: ContactStep | None = None
-        self._closed_is_proven = False
-        self._widest_m, self._touched = 0.0, 0
+        self.start_proving()
 
     @property
     def control(self) -> GripControl | None:

@@ -51,8 +51,7 @@ class SlipWatch:
     def __init__(self, settings: GripperSettings) -> None:
         self._settings = settings
         self._recent = RecentForce(_QUIET_SHARE * settings.slip_drop_n, least=_LEAST_SAMPLES)
-        self._usual_n = 0.0
-        self._usual_s = 0.0
+        self._usual_n = self._usual_s = 0.0
         self._was_low = False
         self._aperture_m: float | None = None
         self._since_s: float | None = None
