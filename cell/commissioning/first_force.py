@@ -20,9 +20,8 @@ from cell.config.model import CellConfig
 from cell.config.sequence import ramp_from_config
 from cell.control.self_zero import drive_text, homing_offsets, kept_zeros, part_between
 from cell.hand.client import HandProcess
-from cell.hand.connections import HandConnections
 from cell.hand.interface import Hand
-from cell.hand.local import LocalHand
+from cell.hand.local import open_hand
 from gripper.errors import GraspStopped, GripperError
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.identification import weighed
@@ -31,7 +30,6 @@ from gripper.settings import largest_setpoint_n
 from gripper.values.outcome import GraspOutcome, GraspResult
 from gripper.values.servo_checks import VerificationReport
 from gripper.values.state import Cycle, GripperPhase
-from tactile.can.bus import MissingBus
 from tactile.source import TactileFrame
 
 FIRST_FORCE_N = 1.0
@@ -362,7 +360,13 @@ def _watched_hand(
     part stays held, with a message to the person who leaves. Raises PortLost, LinkFault or HandLost
     if a line cannot be opened.
     """
-    hand = _opened(bench, config)
+    if bench.clock is time and config.loop.own_process:
+        hand: Hand = HandProcess(config)
+    else:
+        lines = bench.lines
+        hand = open_hand(
+            config, clock=lines.clock, open_serial=lines.open_serial, open_can=lines.open_can
+        )
     trial = _Trial(bench, config, dialog, notes, hand)
     try:
         trial.homing = homing_offsets(_start_free(hand, dialog))
@@ -384,22 +388,6 @@ def _watched_hand(
             hand.shutdown()
         finally:
             hand.close()
-
-
-def _opened(bench: Bench, config: CellConfig) -> Hand:
-    gripper, tactile = config.gripper, config.tactile
-    if bench.clock is time and config.loop.own_process:
-        return HandProcess(config)
-    lines = HandConnections(
-        lambda: bench.lines.open_serial(gripper.port, gripper.baud_rate),
-        lambda: (
-            MissingBus()
-            if not tactile.sensor.on_can
-            else bench.lines.open_can(tactile.interface, tactile.channel, tactile.bitrate)
-        ),
-        open_boards=bench.board_openers(tactile),
-    )
-    return LocalHand(config, lines, clock=bench.clock)
 
 
 def _start_free(hand: Hand, dialog: Dialog) -> VerificationReport:

@@ -14,13 +14,13 @@ from cell.hand.interface import HandStatistics, LatestValues, OnPeriod
 from cell.plugins import SENSORS
 from cell.sensors.guard import GuardedSource
 from gripper.clock import Clock
-from gripper.dynamixel.serial_port import SerialStream
+from gripper.dynamixel.serial_port import ByteStream, SerialStream
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import open_gripper
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspOutcome, ReleaseReport
 from gripper.values.state import Cycle, GripperPhase, TimeSpan
-from tactile.can.bus import MissingBus, open_bus
+from tactile.can.bus import CanBus, MissingBus, open_bus
 from tactile.errors import ZeroDrifted
 from tactile.sensor.grip_force import GripForce
 from tactile.sensor.sensor import TactileReading, TactileSensor
@@ -224,32 +224,45 @@ class LocalHand:
 
 
 def open_hand(
-    config: CellConfig, *, notes: tuple[str, ...] = (), partial: bool = False
+    config: CellConfig,
+    *,
+    notes: tuple[str, ...] = (),
+    partial: bool = False,
+    clock: Clock = time,
+    open_serial: Callable[[str, int], ByteStream] = SerialStream,
+    open_can: Callable[..., CanBus] = open_bus,
 ) -> LocalHand:
-    """Open the real ports of a config; nothing moves yet.
+    """Open the ports of a config; nothing moves yet.
 
     With ``partial`` one of both lines may be missing; a note of the hand names it. Raises
     gripper.errors.PortLost or tactile.errors.LinkFault if a port or bus cannot be opened; with
     ``partial`` only if both cannot be opened.
+
+    Parameters
+    ----------
+    clock
+        Clock of the lines.
+    open_serial, open_can
+        Open a serial port and a CAN bus: by default those of this machine.
     """
     gripper, tactile = config.gripper, config.tactile
     # A config that another process has checked comes without what its check has loaded.
     use_servo_models(servo.model for servo in gripper.servos)
     lines = HandConnections(
-        lambda: SerialStream(gripper.port, gripper.baud_rate),
+        lambda: open_serial(gripper.port, gripper.baud_rate),
         lambda: (
             MissingBus()
             if not tactile.sensor.on_can
-            else open_bus(tactile.interface, tactile.channel, bitrate=tactile.bitrate)
+            else open_can(tactile.interface, tactile.channel, bitrate=tactile.bitrate)
         ),
         partial=partial,
         open_boards=[
-            functools.partial(SerialStream, port, tactile.sensor.baud_rate)
+            functools.partial(open_serial, port, tactile.sensor.baud_rate)
             for port in tactile.serial_ports
         ],
     )
     try:
-        return LocalHand(config, lines, notes=(*notes, *lines.notes))
+        return LocalHand(config, lines, notes=(*notes, *lines.notes), clock=clock)
     except BaseException:
         lines.close()
         raise

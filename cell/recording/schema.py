@@ -72,13 +72,14 @@ _COMMAND = "commanded pose and force: " + ", ".join(COMMAND_COLUMNS)
 _ZERO = "self-zero of the empty fingers before: " + ", ".join(ZERO_COLUMNS)
 
 _ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=False)
-_record = with_config(
-    ConfigDict(extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
-)
 
 
-@_record
-class Frame(TypedDict):
+@with_config(ConfigDict(extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False))
+class _Record(TypedDict):
+    """Base of the records: no unknown field, finite numbers."""
+
+
+class Frame(_Record):
     """A tactile frame."""
 
     t_s: Time
@@ -95,8 +96,7 @@ class Frame(TypedDict):
     """further raw samples of each taxel, such as x and y of a uSkin; left out without any"""
 
 
-@_record
-class Cycle(TypedDict):
+class Cycle(_Record):
     """A period of the force loop."""
 
     t_s: Time
@@ -131,8 +131,7 @@ class Cycle(TypedDict):
     """state of each servo; units are in the names"""
 
 
-@_record
-class Pose(TypedDict):
+class Pose(_Record):
     """A pose of the positioner."""
 
     t_s: Time
@@ -147,8 +146,7 @@ class Pose(TypedDict):
     """about the object's long axis, rad"""
 
 
-@_record
-class Event(TypedDict):
+class Event(_Record):
     """An event, for people."""
 
     t_s: Time
@@ -161,8 +159,7 @@ class Event(TypedDict):
     """number in the fault catalogue; left out where there is no fault"""
 
 
-@_record
-class State(TypedDict):
+class State(_Record):
     """A change of the state of cell or grip."""
 
     t_s: Time
@@ -179,8 +176,7 @@ class State(TypedDict):
     """wall clock, ns since 1970; for people only"""
 
 
-@_record
-class LoopStatistics(TypedDict):
+class LoopStatistics(_Record):
     """Counts and times of the force loop and both links."""
 
     t_s: Time
@@ -227,8 +223,7 @@ class LoopStatistics(TypedDict):
     """transactions and wrong answers of the servo bus since it was opened"""
 
 
-@_record
-class Grasp(TypedDict):
+class Grasp(_Record):
     """A grasp: which frames are its frames, and what is known of it."""
 
     t_s: Time
@@ -253,8 +248,7 @@ class Grasp(TypedDict):
     zero: NotRequired[Annotated[list[Number], Field(description=_ZERO)]]
 
 
-@_record
-class Thickness(TypedDict, total=False):
+class Thickness(_Record, total=False):
     """A thickness along the closing axis."""
 
     size_m: Number
@@ -267,7 +261,6 @@ class Thickness(TypedDict, total=False):
     """grasps that met it"""
 
 
-@_record
 class Shape(Thickness, total=False):
     """Shape and size of a part; a viewer plots its numbers."""
 
@@ -281,8 +274,7 @@ class Shape(Thickness, total=False):
     """dimensions of the likeliest kind by their names, m"""
 
 
-@_record
-class GraspAnswer(TypedDict, total=False):
+class GraspAnswer(_Record, total=False):
     """The answer to one grasp."""
 
     probabilities: list[Number]
@@ -293,8 +285,7 @@ class GraspAnswer(TypedDict, total=False):
     """how far further grasps repeat this one, 0 to 1"""
 
 
-@_record
-class Result(TypedDict):
+class Result(_Record):
     """The answer of an identification."""
 
     t_s: Time
