@@ -331,13 +331,24 @@ class CellController:
     def _grasp(
         self, step: GraspStep, judge: Judge | None = None, *, label: str = ""
     ) -> tuple[GraspRecord, bool]:
+        """Go to the pose, grasp, record, release; ``judge.early_checks`` may end the ramp.
+
+        If ``judge.holds``, the part is held with the carry force until ``judge`` decides: release,
+        squeeze once more, or keep. Returns the record of the grasp and whether the part was kept.
+        """
         self.life.obey_cancel_between()
         self._check_step(step, label)
+        early_checks, kept = None if judge is None else judge.early_checks, False
         with self.life.executing(Event.EXECUTE):
-            record, kept = self._carry_out(step, label, judge)
+            record = self._close(step, self.moves.move_to(step.pose), label, early_checks)
+            if judge is not None and record.outcome.result not in NOTHING_HELD:
+                judge.start_answer(record)
+                kept = judge.holds and self._judged(record, judge)
             if kept:
                 self.life.keep(since="answer")
             else:
+                self.hand.release(self._watch.motion)
+                self.zeroing.note_drives()
                 self.life.complete()
         self._check_record(record)
         return record, kept
@@ -393,25 +404,6 @@ class CellController:
                 "for more. Raise it where servo and part bear it, or ask for less force",
             )
         return replace(step, force_n=borne_n)
-
-    def _carry_out(
-        self, step: GraspStep, label: str, judge: Judge | None = None
-    ) -> tuple[GraspRecord, bool]:
-        """Go to the pose, grasp, record, release; ``judge.early_checks`` may end the ramp.
-
-        If ``judge.holds``, the part is held with the carry force until ``judge`` decides: release,
-        squeeze once more, or keep. Returns the record of the grasp and whether the part was kept.
-        """
-        early_checks = None if judge is None else judge.early_checks
-        record = self._close(step, self.moves.move_to(step.pose), label, early_checks)
-        kept = False
-        if judge is not None and record.outcome.result not in NOTHING_HELD:
-            judge.start_answer(record)
-            kept = judge.holds and self._judged(record, judge)
-        if not kept:
-            self.hand.release(self._watch.motion)
-            self.zeroing.note_drives()
-        return record, kept
 
     def _close(
         self, step: GraspStep, reached: Pose, label: str, early_checks: EarlyDecider | None

@@ -21,7 +21,7 @@ from cell.control.states import (
     next_state,
     refusal,
 )
-from cell.errors import CellStateError, CellStopped, HandLost, PositionerError
+from cell.errors import CellStateError, CellStopped, HandLost, NoPartFound, PositionerError
 from cell.fault_catalogue import error_text, fault_number
 from cell.hand.interface import Hand
 from gripper.clock import Clock
@@ -290,12 +290,13 @@ class CellLifecycle:
         except GraspStopped as stop:
             self.forget_cancel()
             raise CellStopped(f"stopped {self.stop_reason}; {self._left(stop)}") from stop
-        except PositionerError as error:
+        except (PositionerError, NoPartFound) as error:
             # An unreached pose is no fault of the cell: its fingers are open and empty.
             if self.state is not CellState.EXECUTE or self.holding:
                 self._latch(error)
             else:
-                self.journal.note("positioner", str(error), fault_number(error))
+                kind = "no part" if isinstance(error, NoPartFound) else "positioner"
+                self.journal.note(kind, str(error), fault_number(error))
                 self.go(Event.DONE)
             raise
         except BaseException as error:

@@ -25,10 +25,13 @@ from cell.control.plan import GraspStep, Pose, plan
 from cell.control.records import GraspRecord, pad_array
 from cell.control.states import CellState, GraspState
 from cell.errors import CellError, CellStateError, CellStopped, NoPartFound, PlanRefused
+from cell.hand.interface import HandStatistics
 from cell.learning.shape_reading import in_words, shape_reader
 from cell.recording.reader import read_recording
+from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import GripperError, LimitExceeded
 from gripper.force.ramp import ForceRamp
+from gripper.force.timing import LoopStatistics
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
@@ -37,7 +40,7 @@ from tactile.layout import paper_layout
 from tests.cell.conftest import SURE, UNSURE, MakeBench, Scripted, quick_config, small_config
 from tests.fuzz.harness import Clock
 from tests.marks import LONG
-from tests.values import raising
+from tests.values import make_source_statistics, raising
 
 RAMPING, OPENING = GripperPhase.RAMPING, GripperPhase.OPENING
 APPROACHING, RELEASING = GripperPhase.APPROACHING, GripperPhase.RELEASING
@@ -424,16 +427,22 @@ def controller() -> CellController:
         grasp=lambda _ramp, _watch: SimpleNamespace(result=GraspResult.NO_CONTACT),
         release=released.append,
         released=released,
+        statistics=HandStatistics(
+            loop=LoopStatistics(), servo_bus=BusStatistics(), source=make_source_statistics()
+        ),
     )
     positioner: Any = SimpleNamespace(blocks=False, move_to=lambda pose, *_: pose)
-    return CellController(small_config(), hand, positioner, clock=Clock())
+    made = CellController(small_config(), hand, positioner, clock=Clock())
+    made.life.state = CellState.IDLE
+    return made
 
 
 def test_fingers_that_close_before_a_frame_comes_open_again(controller: CellController) -> None:
     with pytest.raises(NoPartFound, match="had closed before a frame of the taxels came"):
-        controller._carry_out(GraspStep(pose=Pose(), force_n=3.0), "")
+        controller.grasp(GraspStep(pose=Pose(), force_n=3.0))
     assert len(controller.hand.released) == 1  # type: ignore[attr-defined]
     assert controller.life.result is GraspResult.NO_CONTACT
+    assert (controller.life.state, controller.life.fault) == (CellState.IDLE, None)
 
 
 def test_servos_that_carry_less_than_asked_for_end_the_ramp_there_with_one_note(
@@ -441,7 +450,7 @@ def test_servos_that_carry_less_than_asked_for_end_the_ramp_there_with_one_note(
 ) -> None:
     hand: Any = controller.hand
     finals_n, notes = [], []
-    monkeypatch.setattr(controller.journal, "note", lambda _kind, text: notes.append(text))
+    monkeypatch.setattr(controller.journal, "note", lambda *note: notes.append(note))
 
     def grasp(ramp: ForceRamp, _watch: object) -> Any:
         finals_n.append(ramp.final_n)
@@ -450,9 +459,9 @@ def test_servos_that_carry_less_than_asked_for_end_the_ramp_there_with_one_note(
     hand.grasp, hand.largest_ramp_n = grasp, 4.0
     for force_n in (3.0, 6.0, 6.0):
         with pytest.raises(NoPartFound):
-            controller._carry_out(GraspStep(pose=Pose(), force_n=force_n), "")
+            controller.grasp(GraspStep(pose=Pose(), force_n=force_n))
     assert finals_n == pytest.approx([3.0, 3.6, 3.6])
-    (note,) = notes
+    ((_, note),) = (one for one in notes if one[0] == "note")
     assert "grasps end at 3.6 N, 6.0 N were asked for" in note
     assert "current_max_a" in note
     # What the config itself does not allow is refused as ever.
