@@ -27,8 +27,6 @@ from cell.control.records import GraspCollector, GraspRecord
 from cell.control.states import CellState
 from cell.errors import CellError, CellStateError, NoPartFound
 from cell.fault_catalogue import BY_NUMBER
-from cell.interfaces.cli.session import running_cell
-from cell.recording.reader import read_recording
 from cell.runtime.goals import TeachGoal
 from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.worker import JobFailed
@@ -658,60 +656,6 @@ raise RuntimeError("the host's own error")
 """
 """A host program that ends by an error of its own while a job runs, and closes nothing. Its main
 module, which stands without `if __name__ == "__main__"`, is not run in the process of the loop."""
-
-
-def signal_in_the_ramp(row: FaultRow) -> Observed:
-    """Send this process the signal of the row while a command presses a part, in virtual time."""
-    with tempfile.TemporaryDirectory() as name, _hangup_not_ignored():
-        sent_s: list[float] = []
-        try:
-            config = campaign_config(row.changes)
-            with running_cell(
-                *(config, "run", Path(name)), config_file=None, json_file=None
-            ) as cell:
-                simulated = cell.plugin.cell.simulated
-                heard = threading.Event()
-                interrupt = cell.plugin.cell.controller.life.cancel
-
-                def cancel(*reason: str) -> None:
-                    interrupt(*reason)
-                    heard.set()
-
-                cell.plugin.cell.controller.life.cancel = cancel  # type: ignore[method-assign]
-
-                def send() -> None:
-                    os.kill(os.getpid(), signal.Signals[row.variant])
-                    # The main thread takes the signal; virtual time waits for it.
-                    heard.wait(10.0)
-
-                sent_s = once(
-                    simulated.clock,
-                    lambda: min(simulated.world.contact_force_n()) > _GRIPPED_N,
-                    send,
-                )
-                cell.run(TeachGoal(label="ball", grasps=1, train=False))
-        except CellError as error:
-            message = str(error).partition(" Recording so far")[0]
-            recording = read_recording(next(Path(name).glob("*/recording.mcap")))
-            held = [event for event in recording.events if event["kind"] == "held"]
-            grip_n = min(simulated.world.contact_force_n())
-            whole = recording.complete and held and grip_n > _KEPT_N
-            return Observed(
-                "HOLD" if whole else "LOST",
-                held[0]["t_s"] - sent_s[0] if held else None,
-                f"{message} ({grip_n:.1f} N); the recording is closed, exit code 1",
-            )
-    return Observed("NOTHING", None, "it went on")
-
-
-@contextlib.contextmanager
-def _hangup_not_ignored() -> Iterator[None]:
-    """Take SIGHUP as a program in a terminal does, also where these tests ignore it."""
-    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGHUP, before)
 
 
 def host_ends_by_an_error(_row: FaultRow) -> Observed:

@@ -5,7 +5,6 @@ until it is detected (None where no time applies); then, where the text of the s
 vocabulary and one grasp do not do, the scenario, and changes of the config.
 """
 
-import signal
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -585,9 +584,6 @@ HOST_PROGRAM = (
              "an exception", "HOLD", LOOP_S, campaign.error_in_the_loop),
     FaultRow(32, "mover", "the host's callback that moves the robot raises",
              "an exception", "HOLD", LOOP_S, campaign.error_in_the_mover),
-    *(FaultRow(33, number.name, f"{number.name} in the ramp",
-               "a signal to the command that grasps", "HOLD", 0.02, campaign.signal_in_the_ramp)
-      for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)),
     FaultRow(33, "uncaught error",
              "a host program ends by an error of its own mid-job and closes nothing",
              "an exception in the main thread, real time", "HOLD", SIGNAL_S,

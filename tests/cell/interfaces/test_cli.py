@@ -49,7 +49,9 @@ from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckTrainer
 from tests.cell.conftest import call, once, plain_grasp, quick_config
 from tests.fuzz.harness import Clock
+from tests.marks import LONG
 from tests.values import raising
+from tests.waiting import until
 
 RUNNER = CliRunner()
 EXAMPLES = Path(__file__).parents[3] / "config"
@@ -606,23 +608,36 @@ def in_the_third_grasp(made: Any, act: Callable[[], object]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("left", [True, False])
+@pytest.mark.parametrize(
+    ("number", "left"),
+    [
+        *((signal.SIGINT, left) for left in (True, False)),
+        *(LONG(number, True) for number in (signal.SIGTERM, signal.SIGHUP)),
+    ],
+)
 def test_a_signal_stops_the_job_and_keeps_grip_recording_and_what_was_grasped(
-    quick, tmp_path, fail, meddle, left
+    quick, tmp_path, fail, meddle, *, number, left
 ) -> None:
-    folder = tmp_path / "data"
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # as in a terminal, not under nohup
+    folder, struck_s = tmp_path / "data", list[float]()
     folder.mkdir()
 
-    def stop() -> None:
-        os.kill(os.getpid(), signal.SIGINT)
+    def strike() -> None:
+        struck_s.append(built[0].simulated.clock.monotonic())
+        os.kill(os.getpid(), number)
+        until(lambda: built[0].controller.life.interrupted)  # the cell's time stands meanwhile
         if not left:
             folder.rmdir()
 
-    built = meddle(lambda made: in_the_third_grasp(made, stop))
+    built = meddle(lambda made: in_the_third_grasp(made, strike))
     said = fail("teach", "ball", "-n", 20, "-o", folder / "d.npz", "-c", quick)
+    signal.signal(signal.SIGHUP, before)
     assert min(built[0].simulated.world.contact_force_n()) > 1.0
     (recording,) = (tmp_path / "out").glob("teach-*/recording.mcap")
-    assert read_recording(recording).complete
+    kept = read_recording(recording)
+    assert kept.complete
+    (held_s,) = (event["t_s"] for event in kept.events if event["kind"] == "held")
+    assert 0.0 <= held_s - struck_s[0] <= 0.02
     if left:
         assert "the grip is kept until it is released on purpose. Recording so far: " in said
         assert [grasp.label for grasp in read_dataset(folder / "d.npz")] == ["ball", "ball"]
