@@ -11,6 +11,7 @@ from pydantic_core import CoreSchema
 from cell.config.section import Section
 from cell.errors import ConfigError, raised_as
 from cell.plugins import SENSORS
+from tactile.sensor.settings import SensorSettings
 
 if TYPE_CHECKING:
     from cell.config.tactile import TactileConfig
@@ -39,18 +40,9 @@ class SensorLines:
     """Whether time passes by itself; else only during waits."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RestLimits:
-    """Limits for pads without a load; None: those of the control unit."""
-
-    rest_share: float | None = None
-    """Largest reading of a taxel at rest as a share of the full scale."""
-    bump_share: float | None = None
-    """Share of the full scale by which the mean of nine taxels may differ from that of its pad."""
-    noise_share: float | None = None
-    """Noise of a sample as a share of the full scale, below which it counts as none."""
-    stuck_frames: int | None = None
-    """Most consecutive frames with the same value of a healthy taxel."""
+RestLimits = SensorSettings
+"""Limits for pads without a load, and other settings of a sensor; the defaults are those of the
+control unit."""
 
 
 class SensorConfig(Section):

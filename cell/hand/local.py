@@ -3,7 +3,7 @@
 import functools
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import replace
 
 from cell.config.gripper import use_servo_models
 from cell.config.model import CellConfig
@@ -283,10 +283,10 @@ def frame_source(config: TactileConfig, lines: SensorLines) -> FrameSource:
 
 def sensor_settings(config: TactileConfig, friction_n: float = 0.0) -> SensorSettings:
     """Return the settings that convert frames to forces, for fingers with a friction in N."""
-    of_kind = {name: one for name, one in asdict(config.sensor.rest).items() if one is not None}
-    return SensorSettings(
+    rest = config.sensor.rest
+    return replace(
+        rest,
         drift_share=config.drift_max_share,
         bad_share=config.bad_taxels_max_share,
-        force_step_n=max(SensorSettings().force_step_n, _HELD_SHARE * friction_n),
-        **of_kind,
+        force_step_n=max(rest.force_step_n, _HELD_SHARE * friction_n),
     )

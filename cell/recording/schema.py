@@ -19,7 +19,7 @@ from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Final, NotRequired
 
 import numpy as np
-from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, with_config
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationInfo, with_config
 from typing_extensions import TypedDict
 
 from cell.recording.grasp_limits import RANGES, check_text
@@ -61,8 +61,8 @@ def _within(name: str) -> Any:
     return Field(ge=low, le=high)
 
 
-def _text(text: str) -> str:
-    check_text("label", text)
+def _text(text: str, info: ValidationInfo) -> str:
+    check_text(info.field_name or "text", text)
     return text
 
 

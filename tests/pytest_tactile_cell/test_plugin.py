@@ -24,7 +24,6 @@ from gripper.dynamixel.control_table import LED, TORQUE_ENABLE
 from gripper.dynamixel.serial_port import SerialStream
 from gripper.errors import BusTimeout
 from pytest_tactile_cell.process import CellProcessError
-from simulator.errors import SimulatorSettingsError
 from tactile.errors import FrameTimeout
 from tests.cell.conftest import COARSE_PADS
 from tests.marks import LONG
@@ -309,14 +308,6 @@ def test_a_fault_acts_until_it_is_cleared(servo_bus, inject_fault) -> None:
     assert fault.began_s is not None
     fault.clear()
     assert servo_bus.ping(1).servo_id == 1
-
-
-def test_a_fault_that_does_not_exist_is_refused_with_what_there_is(
-    simulated_cell, inject_fault
-) -> None:
-    simulated_cell(changes=QUICK)
-    with pytest.raises(SimulatorSettingsError, match=r"no fault 'can\.los'.*can\.loss"):
-        inject_fault("can.los=0.1")
 
 
 def test_the_cell_is_named_where_a_test_has_several(simulated_cell, inject_fault) -> None:

@@ -575,7 +575,7 @@ def test_grasps_cannot_share_frames(tmp_path: Path) -> None:
         ({"start_ms": 10**18}, "start_ms is 1000000000000000000: Input"),
         ({"label": "UNKNOWN"}, "label is UNKNOWN, the answer for"),
         ({"label": "\x1b[2J"}, "not printable"),
-        ({"source": "x" * 201}, "longer than 200 characters"),
+        ({"source": "x" * 201}, "source is 'xxxx"),
     ],
 )
 def test_a_grasp_with_values_that_none_has_is_left_out_and_named(
