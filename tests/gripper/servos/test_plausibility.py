@@ -2,6 +2,7 @@
 
 import random
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 
 import pytest
@@ -107,6 +108,17 @@ def test_a_leap_ends_limp_whatever_the_pads_show(loaded: bool) -> None:
     check = FeedbackCheck(GripperSettings(), ParallelLinkage(link_m=0.06))
     with pytest.raises(FeedbackImplausible, match="leapt"):
         checked(check, -25.0, loaded=loaded, at_rad=0.3)
+
+
+@pytest.mark.parametrize(("leap_rad", "possible"), [(0.45, True), (0.55, False)])
+def test_a_leap_is_what_one_and_a_half_times_the_no_load_speed_cannot_make(
+    leap_rad: float, possible: bool
+) -> None:
+    check = FeedbackCheck(GripperSettings(), ParallelLinkage(link_m=0.06))
+    (servo,) = moving([0.0], at_rad=0.0)
+    check.check((servo,), 0.0, loaded=False)
+    with nullcontext() if possible else pytest.raises(FeedbackImplausible, match="leapt"):
+        check.check((replace(servo, angle_rad=leap_rad),), 0.06, loaded=False)
 
 
 def test_a_leap_in_a_pause_is_found_before_the_next_goal(cell) -> None:

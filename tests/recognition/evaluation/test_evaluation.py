@@ -156,6 +156,9 @@ def test_more_grasps_than_there_are_give_no_figure(train, fresh):
     assert np.isnan(short.fused_accuracy[50])
     assert np.isnan(short.fused_interval[50][0])
     assert np.isnan(short.unknown_auroc)
+    counts = np.array([[3, 1, 0], [2, 3, 0], [0, 0, 5]])
+    mixed = dataclasses.replace(short, labels=("a", "b", "c"), confusion=counts)
+    assert mixed.confused == (("b", "a", 2), ("a", "b", 1)), "the most frequent one first"
 
 
 def test_untaught_objects_count_in_no_accuracy(train, fresh):

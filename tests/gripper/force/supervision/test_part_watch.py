@@ -1,5 +1,7 @@
 """The watch of a part alone: its doubt, and the measurements that end it."""
 
+from dataclasses import replace
+
 import pytest
 
 from benchmarks.performance.force_ramps import NOISE_N, PARTS, Rig
@@ -21,6 +23,8 @@ class Watched:
         self.watch = PartWatch(self.grip, contact_n_m=1e4)
         self.now_s, self.force_n, self.frame_n = 0.0, force_n, force_n
         self.closing_m_s, self.pressing_n, self.noise_n = 0.0, 6.0, 0.05
+        self.first_share = 1.0
+        """Share of its speed that the first finger has."""
         self.aperture_m = STATE.aperture_m
         self._frame = 0.0, (force_n, force_n)
 
@@ -51,7 +55,11 @@ class Watched:
             drive_n=self.pressing_n,
         )
         self.grip.apertures.add(self.now_s, self.aperture_m)
-        return self.watch.lost(period.moment)
+        moment = period.moment
+        first, *others = moment.state.servos
+        first = replace(first, velocity_rad_s=self.first_share * first.velocity_rad_s)
+        state = replace(moment.state, servos=(first, *others))
+        return self.watch.lost(replace(moment, state=state))
 
 
 @pytest.fixture
@@ -108,6 +116,15 @@ def test_another_witness_that_shows_the_part_is_a_contradiction(
     with pytest.raises(GripContradicted, match=shows) as error:
         watched.period(100)
     assert "fell from 3.00 N to 0.00 and 0.00 N" in str(error.value)
+
+
+@pytest.mark.parametrize(("first_share", "lost"), [(1.0, True), (0.08, False)])
+def test_fingers_that_run_meet_nothing_where_the_force_does_not_grow(
+    watched: Watched, first_share: float, lost: bool
+) -> None:
+    """One finger that runs alone may be an encoder that drifts."""
+    watched.closing_m_s, watched.first_share = 0.03, first_share
+    assert watched.period(20) is lost
 
 
 def test_force_that_comes_back_is_a_contradiction(watched: Watched) -> None:
