@@ -490,8 +490,9 @@ def _since(cell: CampaignCell, observed: Observed, began_s: float | None) -> Obs
 
 _RATE_N_S = 10.0
 """Rate of the campaign's ramp."""
-_BEYOND_N = 0.5
-"""Force beyond its set-point that a gripper may have when its loop stands still."""
+_BEYOND_N = 1.0
+"""Force beyond its set-point that a gripper may have when its loop stands still: a push of one
+period then lasts as long. It exceeds the friction in motion, 1.5 N, by half: the stiction."""
 
 
 class _HeldUp:
