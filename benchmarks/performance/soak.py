@@ -104,7 +104,7 @@ def grasps(n: int) -> list[ResourceUse]:
             one = Collection(label=labels[done // block % len(labels)], n_planned=block)
             one.fill(cell.controller, config.sequence, seed=1000 + done)
             # The messages of a frame that is on its way now are no leak.
-            cell.simulated.can_bus.flush()
+            cell.simulated.can_bus.recv_all(10_000)
             samples.append(look(done))
     return samples
 
