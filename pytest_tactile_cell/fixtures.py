@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from gripper.dynamixel.serial_port import ByteStream
     from pytest_tactile_cell.bench import LinkBench
     from pytest_tactile_cell.process import CellProcess
-    from pytest_tactile_cell.runtime import CellRuntime
-    from pytest_tactile_cell.virtual import VirtualCell
+    from pytest_tactile_cell.virtual import CellRuntime, VirtualCell
     from tactile.can.bus import CanBus
 
 
@@ -154,7 +153,7 @@ def cell_runtime(cell_config: "CellConfig", cell_faults: FaultRegistry) -> "Make
     objects, seed, changes, and the arguments of TactileCellPlugin: mover, places, model, save,
     folder. The end of the test closes it.
     """
-    from pytest_tactile_cell.runtime import CellRuntime
+    from pytest_tactile_cell.virtual import CellRuntime
 
     return MakeCell(cell_config, cell_faults, CellRuntime)
 

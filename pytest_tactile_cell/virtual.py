@@ -1,9 +1,9 @@
-"""A whole cell in virtual time, for tests."""
+"""Whole cells in virtual time, for tests: with a controller, or with the plugin of a host."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from cell.build import Cell, Mover, build_cell
 from cell.config.file import changed_config
@@ -14,9 +14,12 @@ from cell.control.identification import Identification
 from cell.control.plan import GraspStep, Pose, plan
 from cell.control.positioner import CarryCallback
 from cell.control.records import GraspRecord
+from cell.errors import CellStateError
 from cell.learning.shape_reading import shape_reader
 from cell.learning.training import train
+from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.tasks import Collection
+from pytest_tactile_cell.process import AskedCell
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 from simulator.cell import SimulatedCell
@@ -155,6 +158,26 @@ class VirtualCell:
             early=early,
             read_shape=shape_reader(self.config),
         )
+
+
+class CellRuntime(TactileCellPlugin, AskedCell):
+    """A `TactileCellPlugin` on simulated devices that takes the faults of a test."""
+
+    @property
+    def running(self) -> bool:
+        """Whether it takes requests: false after `close`."""
+        return not self._closed
+
+    end = TactileCellPlugin.close
+
+    def ask(self, **request: Any) -> dict[str, Any]:
+        """Send a request to the simulated devices, for example ``state=True``; return the reply.
+
+        Raises as `simulate`.
+        """
+        if self._closed:
+            raise CellStateError("the cell is closed; load the plugin again")
+        return self.simulate(request)
 
 
 def grasps_of(

@@ -12,12 +12,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from cell.config.gripper import GripperConfig, gripper_settings, linkage_of
-from cell.config.positioner import AxesCanConfig, PositionerConfig, ServoAxisConfig
+from cell.config.positioner import AxesCanConfig, PositionerConfig, ServoAxisConfig, SortConfig
 from cell.config.section import SIMULATED, Installed, Section, setting_of
 from cell.config.sequence import SequenceConfig, ramp_from_config
 from cell.config.serve import ServeConfig
 from cell.config.simulator import SimulatorConfig
-from cell.config.sort import SortConfig
 from cell.config.tactile import (
     TactileConfig,
     layout_from_config,

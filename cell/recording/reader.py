@@ -290,12 +290,9 @@ def read_recording(path: Path | str) -> Recording:
         results=tuple(rows[schema.RESULT]),
         states=tuple(rows[schema.STATE]),
         statistics=tuple(rows[schema.LOOP]),
-        grasps=tuple(grasps.values()),
+        grasps=tuple(grasp for grasp, _ in grasps.values()),
         grasp_numbers=tuple(grasps),
-        grasp_t_s=tuple(
-            float(recorded.t_s[bisect_left(recorded.number, rows[schema.GRASP][i]["first_frame"])])
-            for i in grasps
-        ),
+        grasp_t_s=tuple(t_s for _, t_s in grasps.values()),
         n_broken_grasps=messages.n_of[schema.GRASP] - len(grasps),
         lost_reason=messages.lost_reason,
     )
@@ -330,9 +327,9 @@ def _rows(data: bytearray, kind: np.dtype[Any]) -> Rows:
 
 def _grasps(
     rows: list[dict[str, Any]], frames: Rows, messages: RecordedMessages
-) -> dict[int, Grasp]:
-    """Return each whole grasp by its number."""
-    grasps, n_used = dict[int, Grasp](), 0
+) -> dict[int, tuple[Grasp, float]]:
+    """Return each whole grasp by its number, with the time of its first frame in s."""
+    grasps, n_used = dict[int, tuple[Grasp, float]](), 0
     for number, row in enumerate(rows):
         first_frame, n_frames = row["first_frame"], row["n_frames"]
         first = bisect_left(frames.number, first_frame)
@@ -346,7 +343,8 @@ def _grasps(
             if first_frame < n_used:
                 raise ValueError("its frames belong to other grasps")
             n_used = first_frame + n_frames
-            grasps[number] = _grasp(row, messages.pads, frames, part)
+            grasp = _grasp(row, messages.pads, frames, part)
+            grasps[number] = (grasp, float(frames.t_s[first]))
         except (ValueError, OverflowError) as cause:
             messages.lose(f"grasp {number + 1} is left out: {cause}")
     return grasps

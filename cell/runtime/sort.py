@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cell.config.model import CellConfig
-from cell.config.sort import PlacePoseConfig
+from cell.config.positioner import PlacePoseConfig
 from cell.control.part import Part
 from cell.control.plan import Pose
 from cell.control.positioner import Destination
