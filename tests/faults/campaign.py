@@ -640,7 +640,7 @@ def _grasp_with_clock(step_s: float) -> tuple[GraspRecord, float]:
         return record, cell.now_s
 
 
-# -- The process that commands a cell: signals, and its end by an error ----------------------------
+# -- The process that commands a cell ends by an error --------------------------------------------
 
 
 _GRIPPED_N = 1.0
