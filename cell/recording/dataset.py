@@ -33,7 +33,7 @@ import functools
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,42 +54,47 @@ from recognition.grasp import (
 DATASET_LIMIT_BYTES = 1 << 30
 """Default limit of the unpacked size of a data set in bytes."""
 
+
+class _Array(NamedTuple):
+    """An array of the file."""
+
+    kinds: str
+    """Kinds of its numpy type."""
+    axes: str
+    """Its axes; arrays with the same axis have the same length along it."""
+    stored: str
+    """Name in the file."""
+    unit: float = 1.0
+    """Unit in the file."""
+    optional: bool = False
+
+
 _ARRAYS = {
-    "format": ("U", ""),
-    "adc_max": ("iu", ""),
-    "pad_shape": ("iu", "pads xy"),
-    "taxel_pad": ("iu", "taxels"),
-    "taxel_xy_m": ("f", "taxels xy"),
-    "grasp_offsets": ("iu", "offsets"),
-    "counts": ("u", "frames taxels"),
-    "t_s": ("f", "frames"),
-    "aperture_m": ("f", "frames"),
-    "label": ("U", "grasps"),
-    "start_ms": ("iu", "grasps"),
-    "force_n": ("f", "frames"),
-    "shape": ("U", "grasps"),
-    "source": ("U", "grasps"),
-    "series": ("U", "grasps"),
-    "thickness_m": ("f", "grasps"),
-    "command": ("f", "grasps command"),
-    "zero": ("f", "grasps zero"),
+    "format": _Array("U", "", "format"),
+    "adc_max": _Array("iu", "", "adc_max"),
+    "pad_shape": _Array("iu", "pads xy", "pad_shape"),
+    "taxel_pad": _Array("iu", "taxels", "taxel_pad"),
+    "taxel_xy_m": _Array("f", "taxels xy", "taxel_xy_mm", 1e3),
+    "grasp_offsets": _Array("iu", "offsets", "grasp_offsets"),
+    "counts": _Array("u", "frames taxels", "counts"),
+    "t_s": _Array("f", "frames", "t_s"),
+    "aperture_m": _Array("f", "frames", "aperture_mm", 1e3),
+    "label": _Array("U", "grasps", "label"),
+    "start_ms": _Array("iu", "grasps", "start_ms"),
+    "force_n": _Array("f", "frames", "force_n", optional=True),
+    "shape": _Array("U", "grasps", "shape", optional=True),
+    "source": _Array("U", "grasps", "source", optional=True),
+    "series": _Array("U", "grasps", "series", optional=True),
+    "thickness_m": _Array("f", "grasps", "thickness_mm", 1e3, optional=True),
+    "command": _Array("f", "grasps command", "pose", optional=True),
+    "zero": _Array("f", "grasps zero", "self_zero", optional=True),
 }
-"""Kinds of the numpy type of each array, and its axes, by the name in `recognition.Grasp`; arrays
-with the same axis have the same length along it."""
-_OPTIONAL = {"force_n", "shape", "source", "series", "thickness_m", "command", "zero"}
+"""The arrays by the name in `recognition.Grasp`."""
 _RECORDS: Mapping[str, tuple[tuple[str, ...], Any]] = {
     "command": (COMMAND_COLUMNS, GraspCommand),
     "zero": (ZERO_COLUMNS, SelfZero),
 }
 """Columns and kind of the arrays whose rows are records."""
-_IN_FILE = {
-    "taxel_xy_m": ("taxel_xy_mm", 1e3),
-    "aperture_m": ("aperture_mm", 1e3),
-    "thickness_m": ("thickness_mm", 1e3),
-    "command": ("pose", 1.0),
-    "zero": ("self_zero", 1.0),
-}
-"""Name and unit in the file of each array that has another one in `recognition.Grasp`."""
 _AXES = {"xy": 2, **{name: len(columns) for name, (columns, _) in _RECORDS.items()}}
 """Length of the axes that are the same in all data sets."""
 
@@ -108,13 +113,13 @@ def read_dataset(path: Path | str, *, limit_bytes: int = DATASET_LIMIT_BYTES) ->
     arrays = read_npz(path, error=DatasetError, what="grasp data set", limit_bytes=limit_bytes)
     if "format" in arrays:
         DATASET.check(str(arrays["format"]), path, DatasetError)
-    stored = {name: _in_file(name)[0] for name in _ARRAYS}
-    missing = [stored[one] for one in _ARRAYS if stored[one] not in arrays and one not in _OPTIONAL]
+    stored = {array.stored: array.optional for array in _ARRAYS.values()}
+    missing = [name for name, optional in stored.items() if name not in arrays and not optional]
     if missing and "model" in arrays:
         raise DatasetError(f"{path} is a model: name the data sets that taught it")
     if missing:
         raise DatasetError(f"{path} is not a grasp data set: {', '.join(missing)} missing")
-    if unknown := [name for name in arrays if name not in stored.values()]:
+    if unknown := [name for name in arrays if name not in stored]:
         raise DatasetError(f"{path}: unknown arrays {', '.join(map(repr, unknown))}")
     # A signalling NaN, or differences of infinite times; both are refused.
     with raised_as(DatasetError, ValueError, where=str(path)), np.errstate(invalid="ignore"):
@@ -168,7 +173,7 @@ def _arrays_of(grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
         "taxel_xy_mm": (1e3 * pads.taxel_xy_m).astype(np.float32),
         "grasp_offsets": np.cumsum([0, *(grasp.n_frames for grasp in grasps)], dtype=np.int64),
     }
-    for name, (kinds, axes) in _ARRAYS.items():
+    for name, (kinds, axes, stored, unit, optional) in _ARRAYS.items():
         if not axes.startswith(("frames", "grasps")):
             continue
         values = [getattr(grasp, name) for grasp in grasps]
@@ -179,25 +184,18 @@ def _arrays_of(grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
             for text in values:  # an array loses a zero at the end
                 check_text(name, text)
         array = np.concatenate(values) if axes.startswith("frames") else np.array(values)
-        if name in _OPTIONAL and (array == "" if kinds == "U" else np.isnan(array)).all():
+        if optional and (array == "" if kinds == "U" else np.isnan(array)).all():
             continue
-        stored, unit = _in_file(name)
         small = kinds == "f" and name not in _RECORDS
         arrays[stored] = (unit * array).astype(np.float32) if small else array
     return arrays
-
-
-def _in_file(name: str) -> tuple[str, float]:
-    """Return the name of an array in the file, and its unit there."""
-    return _IN_FILE.get(name, (name, 1.0))
 
 
 def _grasps_of(in_file: Mapping[str, NDArray[Any]]) -> tuple[Grasp, ...]:
     """Return the grasps. Raises ValueError for an array that is refused, or does not fit."""
     lengths: dict[str, int] = dict(_AXES)
     arrays: dict[str, NDArray[Any]] = {}
-    for name, (kinds, axes) in _ARRAYS.items():
-        stored, unit = _in_file(name)
+    for name, (kinds, axes, stored, unit, _) in _ARRAYS.items():
         if stored not in in_file:
             continue
         array = in_file[stored]
@@ -231,7 +229,7 @@ def _grasps_of(in_file: Mapping[str, NDArray[Any]]) -> tuple[Grasp, ...]:
     check_times(arrays["t_s"], offsets)
     columns: dict[str, list[Any]] = {}
     for name, array in arrays.items():
-        axes = _ARRAYS[name][1]
+        axes = _ARRAYS[name].axes
         if axes.startswith("frames"):
             columns[name] = np.split(array, offsets[1:-1])
         elif axes.startswith("grasps"):
