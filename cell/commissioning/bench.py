@@ -1,9 +1,8 @@
 """Bench of the commissioning wizard: the lines of the cell, its folder, and the config so far."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
-from functools import partial
 from os.path import realpath
 from pathlib import Path
 from typing import Any, TypeVar
@@ -120,11 +119,6 @@ class Bench:
     def ports_beside(self, used: str) -> list[str]:
         """Return the serial ports without the one in use."""
         return [port for port in self.lines.serial_ports() if realpath(port) != realpath(used)]
-
-    def board_openers(self, tactile: TactileConfig) -> list[Callable[[], ByteStream]]:
-        """Return functions that open the lines of the sensor's boards; empty for CAN."""
-        rate = tactile.sensor.baud_rate
-        return [partial(self.lines.open_serial, port, rate) for port in tactile.serial_ports]
 
     def servo_bus(self, port: str | None = None, baud_rate: int | None = None) -> closing[ServoBus]:
         """Open the line of the servos, and close it at the end of the block; goals and torque stay.

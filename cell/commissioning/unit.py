@@ -5,6 +5,7 @@ import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -83,7 +84,10 @@ def _started(bench: Bench, tactile: TactileConfig) -> Iterator[TactileSensor]:
         place = (tactile.interface, tactile.channel, tactile.bitrate)
         lines = SensorLines(
             clock=bench.clock,
-            open_serial=bench.board_openers(tactile),
+            open_serial=[
+                partial(bench.lines.open_serial, port, tactile.sensor.baud_rate)
+                for port in tactile.serial_ports
+            ],
             can_bus=undo.enter_context(bench.can_bus(*place))
             if tactile.sensor.on_can
             else MissingBus(),
