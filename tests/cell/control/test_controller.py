@@ -22,7 +22,7 @@ from cell.config.sequence import (
 from cell.control.controller import CellController
 from cell.control.identification import Identification, Judge
 from cell.control.plan import GraspStep, Pose, plan
-from cell.control.records import GraspRecord, pad_array
+from cell.control.records import GraspRecord, pad_array, spliced
 from cell.control.states import CellState, GraspState
 from cell.errors import CellError, CellStateError, CellStopped, NoPartFound, PlanRefused
 from cell.hand.interface import HandStatistics
@@ -37,7 +37,15 @@ from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.statistics.fusion import DecisionKind
 from tactile.layout import paper_layout
-from tests.cell.conftest import SURE, UNSURE, MakeBench, Scripted, quick_config, small_config
+from tests.cell.conftest import (
+    SURE,
+    UNSURE,
+    MakeBench,
+    Scripted,
+    plain_grasp,
+    quick_config,
+    small_config,
+)
 from tests.fuzz.harness import Clock
 from tests.marks import LONG
 from tests.values import make_source_statistics, raising
@@ -377,6 +385,15 @@ def test_grid_visits_each_point_once_before_it_repeats() -> None:
     assert len({step.pose for step in steps}) == 9
     assert steps[:9] == steps[9:]
     assert {step.pose.x_m for step in steps} == {-1e-3, 0.0, 1e-3}
+    assert {step.force_n for step in steps} == {4.0}
+
+
+def test_a_further_ramp_follows_the_frames_of_the_first_one_before_it() -> None:
+    first, further = plain_grasp("ball"), plain_grasp("ball", t_s=np.arange(12) * 0.02)
+    whole = spliced(first, further, 1.0)
+    assert np.flatnonzero(first.force_n < 1.0).tolist() == [0, 1, 2]
+    assert whole.t_s[:6].tolist() == pytest.approx([0.0, 0.03, 0.06, 0.08, 0.1, 0.12])
+    assert spliced(first, further, 0.0).t_s.tolist() == further.t_s.tolist()
 
 
 def test_list_is_taken_in_order_and_anew() -> None:
