@@ -29,10 +29,10 @@ def refuse_shadows() -> None:
     home = Path(__file__).resolve().parents[1]
     for name in _NEIGHBOURS:
         spec = find_spec(name)
-        found = None if spec is None or spec.origin is None else Path(spec.origin).resolve()
-        if found is not None and found != home / name / "__init__.py":
+        origin = None if spec is None or spec.origin is None else Path(spec.origin).resolve()
+        if origin is not None and origin != home / name / "__init__.py":
             raise ImportError(
-                f"{found} hides the package {name!r} of tactile-cell in {home}: it comes first on "
+                f"{origin} hides the package {name!r} of tactile-cell in {home}: it comes first on "
                 "sys.path; rename it, or start the program in another folder"
             )
 

@@ -35,10 +35,10 @@ class Plugin:
 @cache
 def _entries(group: str) -> Mapping[str, tuple[EntryPoint, ...]]:
     """Return the entry points of a group by name; several packages may use one name."""
-    found = sorted(entry_points(group=f"tactile_cell.{group}"), key=lambda entry: entry.name)
+    entries = sorted(entry_points(group=f"tactile_cell.{group}"), key=lambda entry: entry.name)
     return {
-        name: tuple({e.value: e for e in found if e.name == name}.values())
-        for name in dict.fromkeys(entry.name for entry in found)
+        name: tuple({e.value: e for e in entries if e.name == name}.values())
+        for name in dict.fromkeys(entry.name for entry in entries)
     }
 
 

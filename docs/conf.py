@@ -74,8 +74,8 @@ FILLED = {
 
 def fill(_app: Any, _name: str, source: list[str]) -> None:
     """Replace the markers of packages by the directives of their names, others by their texts."""
-    page = re.sub("<!-- api: (.+?) -->", lambda found: api_page(found[1]), source[0])
-    source[0] = re.sub("<!-- fill: (.+?) -->", lambda found: FILLED[found[1]](), page)
+    page = re.sub("<!-- api: (.+?) -->", lambda match: api_page(match[1]), source[0])
+    source[0] = re.sub("<!-- fill: (.+?) -->", lambda match: FILLED[match[1]](), page)
 
 
 def math(self: Any, node: nodes.math | nodes.math_block) -> None:

@@ -338,20 +338,20 @@ class CellController:
         """
         self.life.obey_cancel_between()
         self._check_step(step, label)
-        early_checks, kept = None if judge is None else judge.early_checks, False
+        early_checks, holds = None if judge is None else judge.early_checks, False
         with self.life.executing(Event.EXECUTE):
             record = self._close(step, self.moves.move_to(step.pose), label, early_checks)
             if judge is not None and record.outcome.result not in NOTHING_HELD:
                 judge.start_answer(record)
-                kept = judge.holds and self._judged(record, judge)
-            if kept:
+                holds = judge.holds and self._judged(record, judge)
+            if holds:
                 self.life.keep(since="answer")
             else:
                 self.hand.release(self._watch.motion)
                 self.zeroing.note_drives()
                 self.life.complete()
         self._check_record(record)
-        return record, kept
+        return record, holds
 
     def _check_record(self, record: GraspRecord) -> None:
         """Raise NoPartFound if a grasp found no part."""

@@ -260,13 +260,13 @@ def command_effect(state: CellState, command: Command) -> CommandEffect:
     event = _EVENT_OF[command]
     if (state, event) not in TRANSITIONS:
         return CommandEffect(False)
-    return CommandEffect(True, _path(state, event, kept=command in _KEEPING))
+    return CommandEffect(True, _path(state, event, holds=command in _KEEPING))
 
 
-def _path(state: CellState, event: Event, *, kept: bool = False) -> tuple[CellState, ...]:
+def _path(state: CellState, event: Event, *, holds: bool = False) -> tuple[CellState, ...]:
     path = [next_state(state, event)]
     while path[-1].acting:
-        keeps = kept and path[-1] is CellState.EXECUTE
+        keeps = holds and path[-1] is CellState.EXECUTE
         path.append(next_state(path[-1], Event.KEPT if keeps else COMPLETIONS[path[-1]]))
     return tuple(path)
 

@@ -342,13 +342,13 @@ class HandProcess:
 
         Raises HandLost if the process died unnoticed.
         """
-        found = ""
+        problem = ""
         if self._loop.lost is None:
             try:
                 self._call(Hand.shutdown)
             except (GripperError, TactileError) as error:
-                found = error_text(error)
-        return found
+                problem = error_text(error)
+        return problem
 
     def close(self) -> None:
         """End the process and wait for its end; a held part stays held."""

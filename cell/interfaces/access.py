@@ -33,22 +33,22 @@ _SECRET_BYTES = 4096
 
 def may_connect(host: str, config: ServeConfig) -> bool:
     """Whether a host may connect: this machine, or a host of the allow-list."""
-    found = _address(host)
-    return found is not None and (
-        found.is_loopback or any(found in ip_network(one) for one in config.allow)
+    address = _address(host)
+    return address is not None and (
+        address.is_loopback or any(address in ip_network(one) for one in config.allow)
     )
 
 
 def is_loopback(host: str) -> bool:
     """Whether an address is one of this machine alone."""
-    found = _address(host)
-    return found is not None and found.is_loopback
+    address = _address(host)
+    return address is not None and address.is_loopback
 
 
 def name_of(host: str) -> str:
     """Return the name or address in a header ``Host``, in small letters; empty if it has none."""
-    found = re.fullmatch(r"(\[[^]]*\]|[^][:]+)(:\d*)?", host)
-    return "" if found is None else found[1].strip("[]").rstrip(".").lower()
+    match = re.fullmatch(r"(\[[^]]*\]|[^][:]+)(:\d*)?", host)
+    return "" if match is None else match[1].strip("[]").rstrip(".").lower()
 
 
 def is_for_this_machine(hosts: Sequence[str], reached: str, config: ServeConfig) -> bool:
@@ -89,14 +89,14 @@ def read_secret(path: str) -> str:
     what = "token or secret"
     data = read_plain(Path(path), error=ConfigError, what=what, limit_bytes=_SECRET_BYTES)
     try:
-        found = data.decode("ascii").strip()
+        secret = data.decode("ascii").strip()
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: a token or secret needs ASCII characters ({error})") from error
-    if len(found) < _SECRET_MIN:
+    if len(secret) < _SECRET_MIN:
         raise ConfigError(
-            f"{path}: a token or secret needs at least {_SECRET_MIN} characters, not {len(found)}"
+            f"{path}: a token or secret needs at least {_SECRET_MIN} characters, not {len(secret)}"
         )
-    return found
+    return secret
 
 
 def view_token(token: str) -> str:

@@ -245,8 +245,8 @@ class LiveFeed:
             except BaseException as error:
                 self._next.set_exception(error)
                 return
-            shown, self._next = self._next, loop.create_future()
-            shown.set_result(moment)
+            present, self._next = self._next, loop.create_future()
+            present.set_result(moment)
             await asyncio.sleep(due_s - loop.time())
 
 
@@ -437,14 +437,14 @@ class WebInterface(HttpServer):
         With a fault the answer is 200 with the number of the fault: a restart does not help.
         """
         status, problem = self._plugin.status(), self._service.problem
-        shown = {
+        body = {
             "working": not problem,
             "problem": problem,
             "state": status.state,
             "fault_number": status.fault_number,
             "holding": status.holding,
         }
-        return JSONResponse(shown, 503 if problem else 200)
+        return JSONResponse(body, 503 if problem else 200)
 
     def metrics(
         self,
@@ -476,8 +476,8 @@ class WebInterface(HttpServer):
 
         With a ``day``, for example 2027-01-15, its ``rows``: each start, part, miss and fault.
         """
-        kept = self._service.history
-        return dict(plain_data(kept.values() if day is None else {"rows": kept.day(day)}))
+        history = self._service.history
+        return dict(plain_data(history.values() if day is None else {"rows": history.day(day)}))
 
     def faults(self) -> list[dict[str, Any]]:
         """List the fault catalogue: number, text, cause, remedy, state of the grip, steps."""
@@ -573,8 +573,8 @@ class WebInterface(HttpServer):
         """Return the chosen part and its pose, the part between the fingers, and all objects."""
         state = self._plugin.simulate({"state": True})
         pose = {name: state["offset"][name] for name in asdict(Pose())}
-        shown = {name: state[name] for name in ("placed", "objects")}
-        return {"part": self._service.chosen_part, "pose": pose} | shown
+        chosen = {name: state[name] for name in ("placed", "objects")}
+        return {"part": self._service.chosen_part, "pose": pose} | chosen
 
     def choose_part(self, body: PartBody) -> dict[str, Any]:
         """Put a part between the open fingers, for all jobs from now on. Returns the same as GET.
@@ -621,5 +621,5 @@ def _refused(_request: Request, error: Exception) -> JSONResponse:
             return refusal(422, complaints, CATALOGUE[RequestRefused].remedy)
     status = next((code for kind, code in _STATUS.items() if isinstance(error, kind)), 500)
     why = Refusal.of(error)
-    shown = {"fault_number": why.number, "error": why.text, "remedy": why.remedy}
-    return JSONResponse(shown, status)
+    body = {"fault_number": why.number, "error": why.text, "remedy": why.remedy}
+    return JSONResponse(body, status)

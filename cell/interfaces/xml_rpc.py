@@ -103,13 +103,13 @@ class Calls:
 
     def job_text(self, job: int) -> str:
         """Return why a job failed, the remedy first; else an empty text."""
-        found = self._service.plugin.job(job)
-        return for_display(found.fault_number, found.error)
+        record = self._service.plugin.job(job)
+        return for_display(record.fault_number, record.error)
 
     def same(self, job: int) -> int:
         """Return the result of a verification: 1 same part, 0 another or no part, -1 running."""
-        found = self._service.plugin.job(job).verification
-        return -1 if found is None else int(bool(found.held and found.same))
+        verification = self._service.plugin.job(job).verification
+        return -1 if verification is None else int(bool(verification.held and verification.same))
 
     def next_pose(self) -> dict[str, float]:
         """Return the requested pose of the object in the grip frame."""
@@ -373,8 +373,8 @@ class _Dispatcher(SimpleXMLRPCDispatcher):
             answer = refusal(501, "the call is not in UTF-8, or has a DOCTYPE", _REMEDY)
         else:
             CLIENT.set(scope["client"][0])
-            found = await asyncio.to_thread(self._marshaled_dispatch, call)
-            answer = Response(cast("bytes", found), headers={"content-type": "text/xml"})
+            reply = await asyncio.to_thread(self._marshaled_dispatch, call)
+            answer = Response(cast("bytes", reply), headers={"content-type": "text/xml"})
         await answer(scope, receive, send)
 
 

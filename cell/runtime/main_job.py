@@ -165,19 +165,19 @@ def teach_objects(
     """
     missed, short = list[str](), list[str]()
     for number, label in enumerate(labels):
-        shown: dict[str, Any] = {}
+        values: dict[str, Any] = {}
 
-        def on_progress(job: Job, shown: dict[str, Any] = shown) -> None:
-            shown.update(job.progress)
-            progress(f"teach {shown['label']}", shown["grasps"] + shown["missed"], n_grasps)
+        def on_progress(job: Job, values: dict[str, Any] = values) -> None:
+            values.update(job.progress)
+            progress(f"teach {values['label']}", values["grasps"] + values["missed"], n_grasps)
 
         seed = _seed(config, 0, number)
         goal = TeachGoal(label=label, grasps=n_grasps, seed=seed, train=False)
         plugin.run(goal, on_progress=on_progress)
-        if shown["missed"]:
-            missed.append(f"{label}: {shown['missed']} grasps found no part")
-        if shown["short"]:
-            short.append(f"{label}: {shown['short']}")
+        if values["missed"]:
+            missed.append(f"{label}: {values['missed']} grasps found no part")
+        if values["short"]:
+            short.append(f"{label}: {values['short']}")
     return missed + short
 
 

@@ -179,7 +179,7 @@ class Tasks:
         self.model.check_extendable()
         collection = Collection(label=goal.label, n_planned=goal.grasps, present=goal.present)
         try:
-            shown = self._fill(collection, goal, report)
+            values = self._fill(collection, goal, report)
         finally:
             self.model.add(collection.grasps)
         if not goal.train:
@@ -188,7 +188,7 @@ class Tasks:
         apart = self.model.told_apart(goal.label)
         n_grasps = self.model.objects()[goal.label][0]
         taught = {"label": goal.label, "n_grasps": n_grasps} | asdict(apart)
-        report(shown | {"taught": taught})
+        report(values | {"taught": taught})
         try:
             self.file.write()
         except CellError as error:
@@ -206,36 +206,36 @@ class Tasks:
         """
         self.model.check_gauge(goal.label)
         collection = Collection(label=goal.label, n_planned=goal.grasps, present=goal.present)
-        shown = self._fill(collection, goal, report)
-        found = self.model.gauge(goal.label, collection.grasps)
+        values = self._fill(collection, goal, report)
+        gauged = self.model.gauge(goal.label, collection.grasps)
         drifts = {
             when: {"gain": drift.gain, "opening_mm": 1e3 * drift.aperture_offset_m}
-            for when, drift in zip(("before", "after"), found, strict=True)
+            for when, drift in zip(("before", "after"), gauged, strict=True)
         }
-        report(shown | {"gauged": {"label": goal.label} | drifts})
+        report(values | {"gauged": {"label": goal.label} | drifts})
         self.file.due = True
         self.file.write()
-        return found[1]
+        return gauged[1]
 
     def _fill(
         self, collection: Collection, goal: TeachGoal | GaugeGoal, report: Report
     ) -> dict[str, Any]:
         """Grasp a known object, report each grasp, and return the last report."""
-        shown: dict[str, Any] = {"task": goal.task, "label": goal.label, "of": goal.grasps}
-        shown |= {"grasps": 0, "missed": 0, "each": []}
+        values: dict[str, Any] = {"task": goal.task, "label": goal.label, "of": goal.grasps}
+        values |= {"grasps": 0, "missed": 0, "each": []}
         each: deque[dict[str, Any]] = deque(maxlen=_SHOWN_GRASPS)
 
         def progress(now: Collection) -> None:
-            if getattr(goal, "train", False) and len(now.records) > shown["grasps"]:
+            if getattr(goal, "train", False) and len(now.records) > values["grasps"]:
                 each.append(_grasp_values(now.records[-1], self.model))
-            shown.update(grasps=len(now.records), missed=now.n_missed, short=now.short)
-            shown["each"] = list(each)
-            report(dict(shown))
+            values.update(grasps=len(now.records), missed=now.n_missed, short=now.short)
+            values["each"] = list(each)
+            report(dict(values))
 
-        report(dict(shown))
+        report(dict(values))
         sequence = self.model.config.sequence
         collection.fill(self.controller, sequence, seed=goal.seed, on_grasp=progress)
-        return shown
+        return values
 
     def zero(self, _goal: ZeroGoal, report: Report) -> SelfZero:
         """Close the empty fingers on each other and return the self-zero.
@@ -244,11 +244,11 @@ class Tasks:
         """
         report({"task": "zero"})
         before = self.controller.zeros.newest
-        found = self.controller.zeroing.measure()
-        moved_mm = None if before is None else 1e3 * (found.zero.opening_m - before.opening_m)
-        values = asdict(found.zero) | {"moved_mm": moved_mm}
-        report({"task": "zero", "zero": values, "text": zero_text(found)})
-        return found.zero
+        measured = self.controller.zeroing.measure()
+        moved_mm = None if before is None else 1e3 * (measured.zero.opening_m - before.opening_m)
+        values = asdict(measured.zero) | {"moved_mm": moved_mm}
+        report({"task": "zero", "zero": values, "text": zero_text(measured)})
+        return measured.zero
 
     def identify(self, goal: IdentifyGoal, report: Report) -> Part:
         """Grasp an object until its name is sure enough, and return the part.
@@ -277,13 +277,13 @@ class Tasks:
             )
 
         try:
-            found, remark = self.named(goal, progress)
+            identification, remark = self.named(goal, progress)
         except NoPartFound:
             self.parts.add(None)
             raise
-        rejected = found.label == UNKNOWN
+        rejected = identification.label == UNKNOWN
         part = self.parts.last = self.parts.add(
-            found, remark, in_grip=found.in_grip, rejected=rejected
+            identification, remark, in_grip=identification.in_grip, rejected=rejected
         )
         return part
 
@@ -301,7 +301,7 @@ class Tasks:
         if goal.force_n is not None:
             sequence = sequence.with_force(goal.force_n)
         controller.moves.present(goal.present)
-        found = controller.identify(
+        identification = controller.identify(
             recognizer,
             plan(sequence, goal.max_grasps or sequence.max_grasps, seed=goal.seed),
             early=model.ends_early and not goal.whole_ramps,
@@ -309,10 +309,10 @@ class Tasks:
             on_grasp=on_grasp,
             keep=Keep(goal.keep),
         )
-        remark = model.remark_on(found.records)
+        remark = model.remark_on(identification.records)
         if remark:
             controller.journal.note("drift", remark)
-        return found, remark
+        return identification, remark
 
     def grip(self, goal: GripGoal, report: Report) -> Verification:
         """Grip a part and keep it; return its measurement.
@@ -325,9 +325,9 @@ class Tasks:
         report(gripped)
         controller.moves.present(goal.present)
         record = controller.grip(goal.force_n, None if goal.present is None else Pose())
-        found = self.verify(None, report)
+        verification = self.verify(None, report)
         report(gripped | {"short": record.outcome.short})
-        return found
+        return verification
 
     def verify(self, _goal: VerifyGoal | None, report: Report) -> Verification:
         """Measure whether the part in the grip is still the kept one.
@@ -371,7 +371,7 @@ class Tasks:
                 force_n=goal.force_n,
             )
             try:
-                found, remark = self.named(one)
+                identification, remark = self.named(one)
             except NoPartFound:
                 answer.n_missed += 1
                 misses += 1
@@ -381,7 +381,9 @@ class Tasks:
                     raise
                 continue
             misses = 0
-            part = self.parts.add(found, remark, **self._brought(answer.targets, found.label))
+            part = self.parts.add(
+                identification, remark, **self._brought(answer.targets, identification.label)
+            )
             answer.add(part)
             progress(part=part)
         return answer

@@ -606,12 +606,12 @@ def open_service(
         wall_s=wall_s,
         **cell,
     )
-    kept = kept_folder(config, cell.get("folder"))
+    folder = kept_folder(config, cell.get("folder"))
     return Service(
         plugin,
         config,
         poses=poses,
-        history_path=None if kept is None else history_file(kept, config.name),
+        history_path=None if folder is None else history_file(folder, config.name),
         note=note,
         clock=clock,
         wall_s=wall_s,

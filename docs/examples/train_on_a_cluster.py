@@ -36,10 +36,10 @@ def main(scheduler, recordings, archive, model):
         print(f"{done.n_grasps} grasps of {done.n_files} files, {len(done.left)} files left")
         models = dict(zip(NAMES, spread(partial(trained, archive), NAMES), strict=True))
         grasps = list(Archive(archive).grasps(most=400))
-        found = evaluate_recognizers(
+        results = evaluate_recognizers(
             grasps, split="days", names=NAMES, mapper=spread, progress=quiet
         )
-        right = {name: one.full.named_right for name, one in found.recognizers.items()}
+        right = {name: one.full.named_right for name, one in results.recognizers.items()}
         for name, share in right.items():
             print(f"{name}: {share:.1%} of the grasps of new days named rightly")
         best = max(right, key=right.__getitem__)

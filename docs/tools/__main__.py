@@ -41,7 +41,7 @@ _TABLE = re.compile(r"(<!-- made: (.+?) -->\n).*?(<!-- end: \2 -->)", flags=re.S
 
 def filled(page: str) -> str:
     """Return a page, or a picture, with new tables."""
-    return _TABLE.sub(lambda found: f"{found[1]}\n{MAKERS[found[2]]().strip()}\n\n{found[3]}", page)
+    return _TABLE.sub(lambda match: f"{match[1]}\n{MAKERS[match[2]]().strip()}\n\n{match[3]}", page)
 
 
 def main() -> None:

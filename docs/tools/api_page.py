@@ -13,9 +13,9 @@ def api_page(package: str) -> str:
     """
     face = import_module(package)
     names = sorted(face.__all__, key=lambda name: name[0].isupper())
-    shown = {name: getattr(face, name) for name in names if not name.isupper()}
-    waiting = [one for face_one in shown.values() for one in _named(face_one)]
-    places = {one: f"{package}.{name}" for name, one in shown.items()}
+    members = {name: getattr(face, name) for name in names if not name.isupper()}
+    waiting = [one for face_one in members.values() for one in _named(face_one)]
+    places = {one: f"{package}.{name}" for name, one in members.items()}
     while waiting:
         one = waiting.pop(0)
         if one.__module__.partition(".")[0] == package and one not in places:
@@ -38,7 +38,7 @@ def _named(one: Any) -> list[Any]:
             hints += get_type_hints(part).values()
         except (NameError, TypeError):
             continue
-    return [found for hint in hints for found in _classes(hint)]
+    return [member for hint in hints for member in _classes(hint)]
 
 
 def _members(one: Any) -> Iterator[Any]:

@@ -75,7 +75,7 @@ def _choices(annotation: Any) -> list[str]:
 
 def _limits(field: FieldInfo) -> str:
     """Return choices and limits that the text of the key does not state."""
-    found = [f"`{choice}`" for choice in _choices(field.annotation)]
+    texts = [f"`{choice}`" for choice in _choices(field.annotation)]
     limits = {
         name: getattr(entry, name)
         for entry in field.metadata
@@ -86,13 +86,13 @@ def _limits(field: FieldInfo) -> str:
     for key, sign in (("gt", ">"), ("ge", "≥"), ("lt", "<"), ("le", "≤")):
         if key in limits:
             limit = f"{limits[key]:{'d' if isinstance(limits[key], int) else 'g'}}"
-            found += [] if limit in stated else [f"{sign} {limit}"]
+            texts += [] if limit in stated else [f"{sign} {limit}"]
     if "max_length" in limits:
         unit = "characters" if field.annotation is str else "entries"
-        found.append(f"{limits.get('min_length', 0)} to {limits['max_length']} {unit}")
+        texts.append(f"{limits.get('min_length', 0)} to {limits['max_length']} {unit}")
     elif "min_length" in limits:
-        found.append("not empty")
-    return ", ".join(found)
+        texts.append("not empty")
+    return ", ".join(texts)
 
 
 def _allowed(field: FieldInfo) -> str:

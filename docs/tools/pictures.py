@@ -157,15 +157,15 @@ def _printed(command: str, folder: Path) -> list[str]:
     return [line for line in lines if not _NEVER_SHOWN.search(line)]
 
 
-def _like(shown: str, printed: list[str]) -> str:
+def _like(wanted: str, printed: list[str]) -> str:
     """Return the printed line that is most similar to the shown line, shortened like it."""
-    start, short, _ = shown.partition(" ...")
+    start, short, _ = wanted.partition(" ...")
     ratio, line = max(
         (difflib.SequenceMatcher(None, start, line[: len(start)] if short else line).ratio(), line)
         for line in printed
     )
     if ratio < _LEAST_ALIKE:
-        raise SystemExit(f"no longer printed: {shown!r}; correct the page, then make it again")
+        raise SystemExit(f"no longer printed: {wanted!r}; correct the page, then make it again")
     return " ".join(line.split(" ")[: len(start.split(" "))]) + short if short else line
 
 

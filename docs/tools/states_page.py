@@ -191,8 +191,8 @@ def _states() -> str:
 
 def _commands() -> str:
     def allowed(state: CellState) -> tuple[str, str]:
-        found = {command.value: command_effect(state, command) for command in Command}
-        ways = {name: one.path for name, one in found.items() if one.accepted}
+        effects = {command.value: command_effect(state, command) for command in Command}
+        ways = {name: one.path for name, one in effects.items() if one.accepted}
         leads = [f"`{name}`: {' → '.join(path)}" for name, path in ways.items() if path]
         stays = [f"`{name}`" for name, path in ways.items() if not path]
         return "<br>".join(leads), ", ".join(stays)

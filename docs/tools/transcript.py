@@ -72,9 +72,9 @@ class _Typing(TerminalDialog):
 
 def practice_commands() -> list[list[str]]:
     """Return the commands of the practice in the tutorial: the cell, the wizard, the hands."""
-    found = _COMMANDS.search(TUTORIAL.read_text(encoding="utf-8"))
-    assert found is not None
-    return [shlex.split(line) for line in found[0].splitlines()]
+    match = _COMMANDS.search(TUTORIAL.read_text(encoding="utf-8"))
+    assert match is not None
+    return [shlex.split(line) for line in match[0].splitlines()]
 
 
 def transcript() -> str:
@@ -115,9 +115,9 @@ def _wrapped(line: str) -> str:
 
 def main() -> None:
     """Write the file that the tutorial links to."""
-    shown = "\n".join(_wrapped(line) for line in transcript().strip().splitlines())
+    text = "\n".join(_wrapped(line) for line in transcript().strip().splitlines())
     command = shlex.join(practice_commands()[1])
-    TRANSCRIPT.write_text(f"$ {command}\n{shown}\n", encoding="utf-8")
+    TRANSCRIPT.write_text(f"$ {command}\n{text}\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -87,11 +87,11 @@ def vectors_page() -> str:
 
 def _captured() -> list[Message]:
     with simulated_cell() as sim:
-        found: list[Message] = []
-        sim.can_bus.capture.append(lambda _t_s, can_id, data: found.append((can_id, data)))
+        messages: list[Message] = []
+        sim.can_bus.capture.append(lambda _t_s, can_id, data: messages.append((can_id, data)))
         with open_sensor(sim.can_bus) as sensor:
             sensor.read()
-    return found
+    return messages
 
 
 def _start(messages: Iterable[Message]) -> Iterator[Message]:
@@ -110,19 +110,19 @@ def _start(messages: Iterable[Message]) -> Iterator[Message]:
 def _rows(messages: Iterable[Message]) -> Iterator[tuple[str, str, str]]:
     asked, what = "", ""
     for can_id, data in messages:
-        shown = f"{can_id:03X}: {_hex(data)}"
+        line = f"{can_id:03X}: {_hex(data)}"
         if can_id == _REQUEST:
-            asked, what = shown, _asked(data)
+            asked, what = line, _asked(data)
         elif can_id == _RESPONSE:
-            yield asked, shown, what + _answered(data)
+            yield asked, line, what + _answered(data)
         elif can_id == od.COB_NMT:
-            yield shown, "", f"NMT: {_NMT[data[0]]}, node {data[1]}"
+            yield line, "", f"NMT: {_NMT[data[0]]}, node {data[1]}"
         elif can_id == od.COB_SYNC:
             yield f"{can_id:03X}:", "", "SYNC"
         elif can_id == _FRAME:
-            yield "", shown, f"frame, message {data[0] & 0x3F}, phase {data[0] >> 6}"
+            yield "", line, f"frame, message {data[0] & 0x3F}, phase {data[0] >> 6}"
         else:
-            yield "", shown, "force message" if can_id == _FORCE else _STATES[data[0]]
+            yield "", line, "force message" if can_id == _FORCE else _STATES[data[0]]
 
 
 def _asked(data: bytes) -> str:

@@ -12,11 +12,11 @@ def xml_rpc_page() -> str:
     """Return one row for each method."""
     rows = ["| method | returns | what it does |", "| --- | --- | --- |"]
     for name, method in METHODS.items():
-        found = inspect.signature(method)
-        named = ", ".join(str(one) for one in found.parameters.values() if one.name != "self")
+        signature = inspect.signature(method)
+        named = ", ".join(str(one) for one in signature.parameters.values() if one.name != "self")
         for python, script in _TYPES.items():
             named = named.replace(f": {python}", f": {script}")
-        returned = inspect.formatannotation(found.return_annotation)
+        returned = inspect.formatannotation(signature.return_annotation)
         text = " ".join((method.__doc__ or "").split())
         rows.append(f"| `{name}({named})` | {_TYPES.get(returned, returned)} | {text} |")
     return "\n".join(rows)

@@ -75,8 +75,8 @@ class FrameAssembler:
             return None
         if burst is None or part is not None:
             # Same phase, other content: four scans later. The two must not share messages.
-            kept = None if burst is self._newest else self._newest
-            self._give_up_all_but(kept)
+            left_open = None if burst is self._newest else self._newest
+            self._give_up_all_but(left_open)
             burst = self._newest = self._open[phase] = _Burst(phase, self._n, t_s)
         burst.parts[index] = bytes(data)
         self.counts.reordered += index < burst.next_index or burst is not self._newest
@@ -84,11 +84,11 @@ class FrameAssembler:
         burst.missing -= 1
         return None if burst.missing else self._finish(burst, t_s)
 
-    def _give_up_all_but(self, kept: _Burst | None) -> None:
+    def _give_up_all_but(self, left_open: _Burst | None) -> None:
         """Close all bursts except one; those with missing messages are torn."""
-        torn = (burst for burst in self._open.values() if burst is not kept and burst.missing)
+        torn = (burst for burst in self._open.values() if burst is not left_open and burst.missing)
         self.counts.torn += sum(1 for _ in torn)
-        self._open = {} if kept is None else {kept.phase: kept}
+        self._open = {} if left_open is None else {left_open.phase: left_open}
 
     def _finish(self, burst: _Burst, t_s: float) -> TactileFrame | None:
         header = self._format.header_bytes

@@ -17,10 +17,10 @@ def _ending(suffix: str, what: str) -> typer.models.OptionInfo:
             raise typer.BadParameter(f"{path}: the name of a {what} ends in {suffix}")
         return path
 
-    found: typer.models.OptionInfo = typer.Option(
+    option: typer.models.OptionInfo = typer.Option(
         "--output", "-o", help=f"{what.capitalize()} to write ({suffix}).", callback=checked
     )
-    return found
+    return option
 
 
 FOLDER_CONFIG = Path("tactile-cell.yaml")

@@ -163,11 +163,11 @@ class RunningCell:
     def run(self, goal: Goal, on_progress: Callable[[Job], None] = lambda _job: None) -> Any:
         """Run a job, show its bar, return its result. Raises as `TactileCellPlugin.run`."""
 
-        def shown(job: Job) -> None:
+        def show(job: Job) -> None:
             on_progress(job)
             show_steps(self.progress, job.progress)
 
-        return self.plugin.run(goal, on_progress=shown)
+        return self.plugin.run(goal, on_progress=show)
 
     def finish(self, lines: Iterable[str | Table], values: Mapping[str, Any]) -> None:
         """Show the result of the command, its JSON with the recording and the health of the loop.

@@ -97,8 +97,8 @@ def print_table(table: Table) -> None:
     for row in zip(*(column.cells for column in table.columns), strict=True):
         first, *values = (Text.from_markup(str(cell)).plain for cell in row)
         named = zip(names[1:], values, strict=True)
-        shown = [f"{name} {value}" for name, value in named if value not in ("", "0")]
-        print_line(f"  {first}: {', '.join(shown)}")
+        texts = [f"{name} {value}" for name, value in named if value not in ("", "0")]
+        print_line(f"  {first}: {', '.join(texts)}")
 
 
 def print_error(text: str) -> None:

@@ -164,7 +164,7 @@ class ModbusServer:
             transaction, protocol, length, unit = _HEADER.unpack(header)
             if protocol != 0 or not 2 <= length <= _LONGEST:
                 return False
-            found = answer(await reader.readexactly(length - 1), registers)
-            writer.write(_HEADER.pack(transaction, 0, len(found) + 1, unit) + found)
+            reply = answer(await reader.readexactly(length - 1), registers)
+            writer.write(_HEADER.pack(transaction, 0, len(reply) + 1, unit) + reply)
             await writer.drain()
         return True

@@ -79,15 +79,15 @@ class Value(NamedTuple):
     unit: float = 1.0
     """Unit of the register."""
 
-    def of(self, shown: Any) -> Any:
+    def of(self, value: Any) -> Any:
         """Return the value; None if it does not exist or is not measured at the moment."""
         for name in self.source.split("."):
-            if shown is None:
+            if value is None:
                 return None
-            shown = getattr(shown, name)
+            value = getattr(value, name)
         if self.kind is not str:
-            return shown
-        return ", ".join(shown) if isinstance(shown, tuple) else shown or ""
+            return value
+        return ", ".join(value) if isinstance(value, tuple) else value or ""
 
 
 # fmt: off
@@ -191,8 +191,8 @@ def _word(value: Value, value_si: Any) -> int:
 
 def _text(text: str, n_registers: int = N_LONG_TEXT) -> list[int]:
     """Return the beginning of a text, two characters per register."""
-    shown = text.encode("ascii", "replace")[: 2 * n_registers].ljust(2 * n_registers, b"\0")
-    return list(struct.unpack(f">{n_registers}H", shown))
+    encoded = text.encode("ascii", "replace")[: 2 * n_registers].ljust(2 * n_registers, b"\0")
+    return list(struct.unpack(f">{n_registers}H", encoded))
 
 
 def input_registers(
@@ -244,10 +244,10 @@ def input_registers(
     words[25:28] = sum(bit for bit, on in flags if on), refusal.number, service.boot
     on_hold = f"on hold by {', '.join(now.held_by)}" if now.held_by else ""
     if status.fault:
-        shown = for_display(status.fault_number, status.fault)
+        text = for_display(status.fault_number, status.fault)
     else:
-        shown = on_hold or for_display(job.fault_number, job.error)
-    words[TEXT_AT:REFUSAL_AT] = _text(shown)
+        text = on_hold or for_display(job.fault_number, job.error)
+    words[TEXT_AT:REFUSAL_AT] = _text(text)
     words[REFUSAL_AT : REFUSAL_AT + N_LONG_TEXT] = _text(refusal.text)
     return words
 
@@ -429,8 +429,8 @@ def _field(service: Service, asked: Sequence[int], name: str) -> Any:
         case "force_n":
             return 0.01 * asked[FORCE]
         case "keep":
-            kept = {KEEP_ALWAYS: "always", KEEP_NAMED: "when_named"}
-            return next((how for bit, how in kept.items() if asked[OPTIONS] & bit), "")
+            options = {KEEP_ALWAYS: "always", KEEP_NAMED: "when_named"}
+            return next((how for bit, how in options.items() if asked[OPTIONS] & bit), "")
         case "reboot":
             return bool(asked[OPTIONS] & REBOOT)
         case _:

@@ -30,9 +30,9 @@ browser checks for a newer version before it uses a stored file."""
 class _Files(StaticFiles):
     def file_response(self, *args: Any, **kwargs: Any) -> Response:
         """Return a file, or status 304, with the headers of the page."""
-        found = super().file_response(*args, **kwargs)
-        found.headers.update(HEADERS)
-        return found
+        response = super().file_response(*args, **kwargs)
+        response.headers.update(HEADERS)
+        return response
 
 
 def mount_page(app: FastAPI) -> None:

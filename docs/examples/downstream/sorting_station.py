@@ -46,13 +46,13 @@ class SortingStation:
         A fault, a cancel or a refused place ends here with an error and the part in the grip.
         """
         steps = plan(self.sequence, self.sequence.max_grasps, seed=seed)
-        found = self.controller.identify(self.recognizer, steps, keep=Keep.ALWAYS)
-        sure = found.decision.probability >= self.least_probability
-        place = self.bins.get(found.label, MANUAL) if sure else MANUAL
-        self.controller.moves.carry_to(Destination(label=found.label, place=place))
+        identification = self.controller.identify(self.recognizer, steps, keep=Keep.ALWAYS)
+        sure = identification.decision.probability >= self.least_probability
+        place = self.bins.get(identification.label, MANUAL) if sure else MANUAL
+        self.controller.moves.carry_to(Destination(label=identification.label, place=place))
         if not self.controller.kept_part.verify().same:
             # It has turned or slipped in the grip: a person looks at it.
             place = MANUAL
-            self.controller.moves.carry_to(Destination(label=found.label, place=place))
+            self.controller.moves.carry_to(Destination(label=identification.label, place=place))
         self.controller.put_down()
         return place

@@ -46,12 +46,12 @@ def doctor(
 
 def _list_plugins(json_file: Path | None) -> None:
     """Print each plugin, its package, and the reason if it does not load."""
-    found = [plugin for group in GROUPS for plugin in group.examine()]
-    states = [f"FAIL  {one.problem}" if one.problem else "loads" for one in found]
+    plugins = [plugin for group in GROUPS for plugin in group.examine()]
+    states = [f"FAIL  {one.problem}" if one.problem else "loads" for one in plugins]
     lines = [
         f"{one.group:<12} {one.name:<18} {one.package:<20} {state}"
-        for one, state in zip(found, states, strict=True)
+        for one, state in zip(plugins, states, strict=True)
     ]
-    show(lines, {"plugins": found}, json_file)
-    if failed := sum(bool(one.problem) for one in found):
-        raise CellError(f"{failed} of {len(found)} plugins do not load")
+    show(lines, {"plugins": plugins}, json_file)
+    if failed := sum(bool(one.problem) for one in plugins):
+        raise CellError(f"{failed} of {len(plugins)} plugins do not load")

@@ -36,15 +36,15 @@ def zero(
     if checked.self_zero in ("always", "daily"):
         # Measured once: by this command, not at the start too.
         checked = checked.model_copy(update={"self_zero": "on_demand"})
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     with running_cell(checked, "zero", out_folder, config_file=config, json_file=json_file) as cell:
-        cell.run(ZeroGoal(), lambda job: found.update(job.progress))
+        cell.run(ZeroGoal(), lambda job: values.update(job.progress))
         if zero_note := cell.plugin.health()["zero"]["text"]:
             print_note(zero_note)
-    lines = [found["text"]]
-    if (moved_mm := found["zero"]["moved_mm"]) is not None:
+    lines = [values["text"]]
+    if (moved_mm := values["zero"]["moved_mm"]) is not None:
         lines.append(f"{moved_mm:+.2f} mm since the last measurement")
-    cell.finish(lines, found["zero"])
+    cell.finish(lines, values["zero"])
 
 
 def release(
@@ -104,8 +104,8 @@ def clear(
             after = cell.controller.hand.conditions()
             if cell.axes is not None:
                 cell.axes.clear_faults(reboot=reboot)
-                for name, found in cell.axes.inspect().items():
-                    print_line(f"{checked.name}: {name} is in {found}")
+                for name, state in cell.axes.inspect().items():
+                    print_line(f"{checked.name}: {name} is in {state}")
     except ServoFault as error:
         raise CellError(f"{error}: {clear_command(config)}") from error
     except MotionError as error:

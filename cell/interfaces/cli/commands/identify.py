@@ -126,7 +126,7 @@ def _identify_recorded(
     loaded = load_model(model).with_caution(config.recognition.caution)
     recorded = read_grasps(dataset)
     answers = identify_recorded(loaded, recorded, follow=follow, read_shape=read_shape)
-    lines, shown = list[str](), []
+    lines, rows = list[str](), []
     for number, (grasp, answer) in enumerate(zip(recorded, answers, strict=True)):
         posterior, shape, drift = answer
         probability = posterior.name_probability
@@ -143,8 +143,8 @@ def _identify_recorded(
             "truth": grasp.label or None,
             "shape": shape and shape.as_dict(),
         }
-        shown.append(values if drift is None else values | {"drift": drift.values})
+        rows.append(values if drift is None else values | {"drift": drift.values})
     _, (*_, last) = max(zip(recorded, answers, strict=True), key=lambda one: one[0].start_ms)
     if last is not None and last.likely:
         lines.append(f"the sensors have drifted since teaching: {drift_text(last.drift)}")
-    show(lines, {"answers": shown}, json_file)
+    show(lines, {"answers": rows}, json_file)

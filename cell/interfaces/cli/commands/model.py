@@ -120,13 +120,13 @@ def calibrate(
     cell: RunningCell | None = None
     if dataset is not None:
         loaded = load_model(model)
-        found = list(read_grasps(dataset))
+        recorded = list(read_grasps(dataset))
         taken = {
-            label: _grasps_of(label, found, dataset, alone=len(gauge or ()) == 1)
+            label: _grasps_of(label, recorded, dataset, alone=len(gauge or ()) == 1)
             for label in gauge or ()
         }
-        corrected = calibrate_model(loaded, taken) if gauge else follow_shift(loaded, found)
-        n_grasps = sum(map(len, taken.values())) if gauge else len(found)
+        corrected = calibrate_model(loaded, taken) if gauge else follow_shift(loaded, recorded)
+        n_grasps = sum(map(len, taken.values())) if gauge else len(recorded)
     elif not gauge:
         raise ConfigError("the object is missing: add --gauge NAME, or name grasps of a shift")
     else:
@@ -268,10 +268,10 @@ def _lines(result: EvaluationResult) -> Iterator[str | Table]:
         rows = [(name, figures.full)]
         if figures.without_aperture not in (None, figures.full):
             rows.append(("  tactile only", figures.without_aperture))
-        for shown, one in rows:
+        for title, one in rows:
             named = (one.named_right, one.named_wrong, 1.0 - one.named_right - one.named_wrong)
             table.add_row(
-                shown,
+                title,
                 _with_interval(one.single_accuracy, one.interval),
                 *(_with_interval(one.fused_accuracy[k], one.fused_interval[k]) for k in fused),
                 *(f"{100 * share:.1f}" for share in named),

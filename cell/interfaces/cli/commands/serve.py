@@ -94,10 +94,10 @@ SaveOption = Annotated[
 
 def _port(flag: str, interface: str, key: str) -> typer.models.OptionInfo:
     """Return the option of an interface's port."""
-    found: typer.models.OptionInfo = typer.Option(
+    option: typer.models.OptionInfo = typer.Option(
         flag, help=f"Port of {interface}; 0: any [default: serve.{key}]."
     )
-    return found
+    return option
 
 
 def serve(
@@ -218,14 +218,16 @@ def _status_line(service: Service) -> str:
 @contextmanager
 def _announced_interfaces(service: Service) -> Iterator[None]:
     """Open the interfaces of a service and print their addresses; close all at the end."""
-    with open_interfaces(service) as found:
+    with open_interfaces(service) as interfaces:
         for note in warnings(service):
             print_note(note)
         config = service.config.serve
         # Other users may read the journal or the log of a container, for months.
         secret = ("token", "view_token")
-        typer.echo(json.dumps({name: found[name] for name in found if name not in secret}))
-        page, view = (page_address(found, config, which) for which in secret)
+        typer.echo(
+            json.dumps({name: interfaces[name] for name in interfaces if name not in secret})
+        )
+        page, view = (page_address(interfaces, config, which) for which in secret)
         if page and not err.is_terminal:
             where = config.token_file or "on a terminal only; --token-file sets one"
             print_page(f"{page.partition('#')[0]} (its token: {where})")

@@ -107,12 +107,12 @@ def _teach_grasps(
 ) -> None:
     before = dataset_to_extend(dataset, pads_of(config))
     goal = goal.model_copy(update={"seed": config.seed + len(before)})
-    shown: dict[str, Any] = {}
+    taught: dict[str, Any] = {}
     with running_cell(
         *(config, "teach", out_folder), config_file=config_file, json_file=json_file
     ) as cell:
         try:
-            cell.run(goal, lambda job: shown.update(job.progress))
+            cell.run(goal, lambda job: taught.update(job.progress))
         finally:
             if taken := cell.plugin.model.training_set:
                 try:
@@ -122,14 +122,14 @@ def _teach_grasps(
                         f"{error}; the grasps are in {cell.plugin.recording_path}: use it with "
                         "`tactile-cell model train`"
                     ) from error
-                missed = f" ({shown['missed']} found no part)" if shown["missed"] else ""
+                missed = f" ({taught['missed']} found no part)" if taught["missed"] else ""
                 print_line(
                     f"{len(taken)} of {goal.grasps} grasps of {goal.label}{missed} added to "
                     f"{dataset} ({len(before)} before)"
                 )
-                if shown["short"]:
-                    print_line(shown["short"])
-    values = {"label": goal.label, "n_grasps": shown["grasps"], "n_missed": shown["missed"]}
+                if taught["short"]:
+                    print_line(taught["short"])
+    values = {"label": goal.label, "n_grasps": taught["grasps"], "n_missed": taught["missed"]}
     cell.finish([f"recording: {cell.plugin.recording_path}"], values | {"dataset": dataset})
 
 

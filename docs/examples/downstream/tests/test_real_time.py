@@ -32,9 +32,9 @@ def tactile_cell(*arguments):
 
 
 def test_the_system_check_finds_all_devices(cell_process):
-    found = tactile_cell("doctor", "--config", cell_process(changes=UNHURRIED).config_path)
-    assert found.returncode == 0, found.stdout + found.stderr
-    assert "fail" not in found.stdout
+    done = tactile_cell("doctor", "--config", cell_process(changes=UNHURRIED).config_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "fail" not in done.stdout
 
 
 def test_a_part_is_grasped_over_the_ports_and_let_go(cell_process, tmp_path):
