@@ -456,7 +456,7 @@ class CellController:
             further = judge.decide()
             self.life.check_cancelled()
             if further is None:
-                return judge.kept
+                return judge.keeps_part
             record = self._squeeze(first, replace(further, pose=first.step.pose))
             judge.start_answer(record)
 

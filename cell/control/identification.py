@@ -208,7 +208,7 @@ class Judge:
         return None if self.over or self.regrasps else next(self._steps)
 
     @property
-    def kept(self) -> bool:
+    def keeps_part(self) -> bool:
         """Whether the part stays in the grip for the host."""
         return self.over and self.keep.keeps(self.decision.label)
 

@@ -98,7 +98,7 @@ class CellLifecycle:
     """Whether the program ends: each sequence is stopped."""
     stop_reason: str = ON_REQUEST
     """Who or what requested the last stop."""
-    _kept: tuple[float, str] | None = None
+    _keep_began: tuple[float, str] | None = None
     _part_lost: bool = False
 
     @property
@@ -167,7 +167,7 @@ class CellLifecycle:
             raise self._refused(str(error)) from None
         self.state_since_s = time.time()
         if event in (Event.RELEASE, Event.RELEASE_HELD, Event.START):
-            self._kept = None
+            self._keep_began = None
         self.journal.states(self.state, self.grasp_state)
 
     def _refused(self, text: str) -> CellStateError:
@@ -182,7 +182,7 @@ class CellLifecycle:
 
         A later fault names the time since ``since``, e.g. the answer. A kept part stays kept.
         """
-        self._kept = self._kept or (self.clock.monotonic(), since)
+        self._keep_began = self._keep_began or (self.clock.monotonic(), since)
         self.go(Event.KEPT)
 
     def tick(self) -> None:
@@ -309,7 +309,7 @@ class CellLifecycle:
         self.latched = fault
         self.faults[fault.number] += 1
         # A kept part that slips is no longer where the host expects it.
-        lost = (PartLost, PartSlipped) if self._kept else PartLost
+        lost = (PartLost, PartSlipped) if self._keep_began else PartLost
         self._part_lost = isinstance(error, lost)
         self.go(Event.FAULT)
         try:
@@ -323,9 +323,9 @@ class CellLifecycle:
 
     def _carried_for(self) -> str:
         """Return as text how long a kept part was held until now; empty without one."""
-        if self._kept is None:
+        if self._keep_began is None:
             return ""
-        since_s, since = self._kept
+        since_s, since = self._keep_began
         return f"; {self.clock.monotonic() - since_s:.1f} s after the {since}"
 
     def _left(self, stop: GraspStopped) -> str:

@@ -90,7 +90,7 @@ def _add(sums: _Sums, row: Mapping[str, Any]) -> None:
             sums[presented or row["second"], named, bool(presented)] += 1
 
 
-def _shown(sums: _Sums) -> dict[str, Any]:
+def _listed(sums: _Sums) -> dict[str, Any]:
     """Return sums in the form of `History.values`."""
     pairs = [(-n, pair) for pair, n in sums.items() if isinstance(pair, tuple)]
     kinds = {"parts": "part", "missed": "miss", "faults": "fault", "starts": "start"}
@@ -275,7 +275,7 @@ class History:
         n_week = date.fromisoformat(days[0]).weekday() + 1
         spans = {"today": days[:1], "yesterday": days[1:2], "week": days[:n_week]}
         return {
-            name: _shown(sum((self._days[day] for day in some), _Sums()))
+            name: _listed(sum((self._days[day] for day in some), _Sums()))
             for name, some in spans.items()
         }
 

@@ -38,7 +38,7 @@ class QualityWatch:
         self._layout: TaxelLayout = hood.layout
         self._limits = limits
         gripping = np.isin(self._layout.taxel_pad, self._layout.gripping_pads)
-        self._beside = np.flatnonzero(~gripping)
+        self._outer_taxels = np.flatnonzero(~gripping)
         """Taxels that no grasp presses: their common change is drift."""
         self._aim = (0.0, 0.0)
         self.restart(None)
@@ -141,7 +141,7 @@ class QualityWatch:
         void : (n_taxels,) bool
             Taxels that are bad or at full scale; they are ignored.
         """
-        return self._drift_of(self._beside, "the pads beside the grip", tared, void)
+        return self._drift_of(self._outer_taxels, "the pads beside the grip", tared, void)
 
     def drift_anywhere(self, tared: Values, void: Mask) -> str:
         """Return a message if a pad is not at its zero without a grip, else "".

@@ -63,7 +63,7 @@ err = _LossyConsole(stderr=True, highlight=False)
 """Progress, notes and errors."""
 
 
-def _shown(text: str) -> str:
+def _escaped(text: str) -> str:
     """Return a text with escaped control characters."""
     return "".join(
         sign if sign.isprintable() or sign in "\n\t" else repr(sign)[1:-1] for sign in text
@@ -72,7 +72,7 @@ def _shown(text: str) -> str:
 
 def plain_text(text: str) -> str:
     """Return any text so that terminal and `rich` show it, without control codes and markup."""
-    return escape(_shown(text))
+    return escape(_escaped(text))
 
 
 def print_line(text: str) -> None:
@@ -141,7 +141,7 @@ def ask(text: str) -> str:
     A pipe is read without Python's buffer: Python aborts if it ends while a thread waits in the
     buffer.
     """
-    text = _shown(text)
+    text = _escaped(text)
     stdin = sys.__stdin__
     if stdin is None or sys.stdin is not stdin or stdin.isatty():
         return input(text)

@@ -102,13 +102,13 @@ class TerminalDialog(Dialog):
 
     def _typed(self, prompt: str, watch: Callable[[], str] | None = None) -> str:
         """Return the typed line; the line above shows what ``watch`` returns."""
-        shown = watch is not None and out.is_terminal
-        out.print(("\n" if shown else "") + plain_text(prompt), end="", soft_wrap=True)
+        live = watch is not None and out.is_terminal
+        out.print(("\n" if live else "") + plain_text(prompt), end="", soft_wrap=True)
         try:
             # A signal just before the read would otherwise wait until a line is typed.
             while not _input_waits():
                 text = "" if watch is None else watch()
-                if shown:
+                if live:
                     out.file.write(f"{_SAVE}{_LINE_UP}{_LINE_START}{_one_line(text)}{_RESTORE}")
                     out.file.flush()
             typed = ask("").strip()

@@ -182,10 +182,10 @@ def _unit(config: CellConfig, config_file: Path | None, options: tuple[str, ...]
 
 def program() -> list[str]:
     """Return the command that starts this program, with whole paths."""
-    beside = Path(sys.executable).with_name(NAME)
+    installed = Path(sys.executable).with_name(NAME)
     return (
-        [str(beside)]
-        if beside.exists()
+        [str(installed)]
+        if installed.exists()
         else [
             sys.executable,
             "-c",
@@ -275,12 +275,12 @@ def _without(secrets: list[str], text: str) -> str:
 
 def _secrets(serve: ServeConfig) -> list[str]:
     """Return the secrets of a config, except for files that this user may not read."""
-    found = []
+    secrets = []
     for name in filter(None, (serve.token_file, serve.secret_file)):
         with suppress(ConfigError, OSError):
             secret = read_secret(name)
-            found += [secret, view_token(secret)]
-    return found
+            secrets += [secret, view_token(secret)]
+    return secrets
 
 
 def _asked(serve: ServeConfig, path: str) -> str:
