@@ -34,8 +34,9 @@ _ERROR = 70
 """Address of the register Hardware Error Status (XM430 manual)."""
 _RESTING = (GripperPhase.IDLE, GripperPhase.HOLDING, GripperPhase.HELD_AFTER_FAULT)
 _OPENING = (GripperPhase.OPENING, GripperPhase.RELEASING)
-_BRAKING_M = 0.001
-"""How far in m fingers may open after the gripper has ended a motion: their inertia, one period."""
+_BRAKING_M = 0.0013
+"""How far in m fingers may open after the gripper has ended a motion: 0.7 mm by their inertia at 60
+mm/s, and 0.3 mm in each of two periods, because an answer may be lost."""
 _LOST_REQUESTS = "servos.lost_requests"
 """Fault under which a stop may be lost: then the fingers go on to the goal of their opening."""
 _BEYOND_M = 0.004
