@@ -118,8 +118,8 @@ def write_atomically(
             part.unlink(missing_ok=True)
             raise
     except OSError as cause:
-        kept = "; the old file is unchanged" if place.exists() else ""
-        raise error(f"cannot write {what} to {path}: {_advice(cause, place)}{kept}") from cause
+        old = "; the old file is unchanged" if place.exists() else ""
+        raise error(f"cannot write {what} to {path}: {_advice(cause, place)}{old}") from cause
 
 
 def write_text(path: Path, text: str, *, error: type[CellError], what: str) -> None:
@@ -183,8 +183,8 @@ def read_npz(
                     "and evaluate read its grasps"
                 )
             if not head.startswith(_ARCHIVE):
-                found = "not an npz archive" if head else "empty"
-                raise error(f"{path} is not a {what}: it is {found}; name a {what} (.npz)")
+                content = "not an npz archive" if head else "empty"
+                raise error(f"{path} is not a {what}: it is {content}; name a {what} (.npz)")
             archive = zipfile.ZipFile(file)
             members = archive.infolist()
             total = sum(member.file_size for member in members)

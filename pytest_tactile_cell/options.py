@@ -122,24 +122,24 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     from cell.plugins import GROUPS
 
     kind = metafunc.module.__name__.rpartition(".")[2]
-    found = list(next(group for group in GROUPS if group.what == kind.replace("_", " ")))
+    available = list(next(group for group in GROUPS if group.what == kind.replace("_", " ")))
     texts = [text.partition(":") for text in metafunc.config.getoption("contract")]
     names = [name for one, _, name in texts if one == kind and name]
     for name in names:
-        if name not in found:
-            raise pytest.UsageError(f"no {kind} {name!r} is installed; there are {found}")
-    metafunc.parametrize("plugin_name", names or found, scope="module")
+        if name not in available:
+            raise pytest.UsageError(f"no {kind} {name!r} is installed; there are {available}")
+    metafunc.parametrize("plugin_name", names or available, scope="module")
 
 
 def pytest_report_header(config: pytest.Config) -> list[str]:
     """Return a line with the hardware under test; empty if all devices are simulated."""
     options = HardwareOptions.of(config)
-    found = []
+    devices = []
     if options.servo_port is not None:
-        found.append(f"servos at {options.servo_port}")
+        devices.append(f"servos at {options.servo_port}")
     if options.can_interface is not None:
-        found.append(f"control unit at {options.can_interface} {options.can_channel}")
-    if not found:
+        devices.append(f"control unit at {options.can_interface} {options.can_channel}")
+    if not devices:
         return []
     motion = "may move" if options.allow_motion else "must not move (no --allow-motion)"
-    return [f"tactile-cell: REAL HARDWARE: {', '.join(found)}; servos {motion}"]
+    return [f"tactile-cell: REAL HARDWARE: {', '.join(devices)}; servos {motion}"]

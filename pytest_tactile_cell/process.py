@@ -118,20 +118,20 @@ class CellProcess(AskedCell):
             )
         self._ended_by_us = False
         try:
-            found = self._announcement(announced)
-            self.servo_port: str = found["servo_port"]
-            self.servo_baud_rate: int = found["servo_baud_rate"]
-            self.servo_ids: tuple[int, ...] = tuple(found["servo_ids"])
+            ports = self._announcement(announced)
+            self.servo_port: str = ports["servo_port"]
+            self.servo_baud_rate: int = ports["servo_baud_rate"]
+            self.servo_ids: tuple[int, ...] = tuple(ports["servo_ids"])
             """The pseudo-terminal with the servos, its rate in bit/s, their IDs."""
-            self.can_interface: str = found["can_interface"]
-            self.can_channel: str = found["can_channel"]
-            self.can_bitrate: int = found["can_bitrate"]
-            self.node_id: int = found["node_id"]
+            self.can_interface: str = ports["can_interface"]
+            self.can_channel: str = ports["can_channel"]
+            self.can_bitrate: int = ports["can_bitrate"]
+            self.node_id: int = ports["node_id"]
             """The pseudo-terminal with the CAN adapter, for python-can, and the control unit's
             node."""
-            self.positioner_socket: str = found["positioner_socket"]
+            self.positioner_socket: str = ports["positioner_socket"]
             """Unix socket for requests as JSON lines; `ask` sends them."""
-            self.config_path = Path(found["config"])
+            self.config_path = Path(ports["config"])
             """Config for programs that use this cell: ``tactile-cell run --config ...``."""
         except BaseException:
             self.end()
@@ -231,8 +231,8 @@ class CellProcess(AskedCell):
                     f"the simulated cell was not ready after {_START_S:g} s. {self._state()}"
                 )
             time.sleep(_LOOK_S)
-        found: dict[str, Any] = json.loads(line)
-        return found
+        values: dict[str, Any] = json.loads(line)
+        return values
 
     def _state(self) -> str:
         code = self._process.poll()

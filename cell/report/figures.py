@@ -161,11 +161,11 @@ def grasp_figure(grasp: Grasp, title: str) -> "Figure":
             load.plot(grasp.t_s, loads[pad], label=f"pad {pad}", color=colour(number))
             taxels = grasp.pads.taxels_of(pad)
             xy_mm = 1e3 * grasp.pads.taxel_xy_m[taxels]
-            shown = axes.scatter(
+            points = axes.scatter(
                 *xy_mm.T, c=largest[taxels], marker="s", vmin=0, vmax=largest.max()
             )
             axes.set(aspect="equal", title=f"pad {pad}")
-            figure.colorbar(shown, ax=axes, label="counts")
+            figure.colorbar(points, ax=axes, label="counts")
         load.set(xlabel="time / s", ylabel="sum of the counts")
         load.legend()
         opening.plot(grasp.t_s, 1e3 * grasp.aperture_m, color=colour(6))

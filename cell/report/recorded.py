@@ -138,7 +138,7 @@ def _page(recording: Recording) -> Page:
     tables += scores.values()
     drawn = drawn_answers(answers)
     sizes = true_sizes(config) if config else {}
-    felt = shapes_view([(one.held, one.label, one.shape) for one in answers], sizes)
+    shapes = shapes_view([(one.held, one.label, one.shape) for one in answers], sizes)
     name = config.name if config else recording.metadata.get("cell", "recorded cell")
     started = datetime.fromtimestamp(1e-9 * recording.wall_clock_start_ns)
     loop_s = recording.cycles.t_s
@@ -149,7 +149,7 @@ def _page(recording: Recording) -> Page:
     ]
     sections: dict[str, dict[str, Any]] = {
         "result": {"title": "Confusion", "tables": [one.without_empty() for one in tables]},
-        "shapes": {"title": "Shape and size", "shapes": felt},
+        "shapes": {"title": "Shape and size", "shapes": shapes},
         "sequences": {
             "title": "Identifications",
             "answers": drawn,
@@ -195,7 +195,7 @@ def answers_of(recording: Recording, config: CellConfig | None) -> Iterator[Answ
     ]
     for (row, met), (end_s, next_s) in zip(recording.identified, pairwise(ends_s), strict=True):
         labels = tuple(row["labels"])
-        shown = met[-1:] if in_one_grip else met
+        counted = met[-1:] if in_one_grip else met
         places = [text.rpartition(" at ")[2] for t_s, text in placed if end_s <= t_s < next_s]
         yield Answered(
             held=row.get("held", ""),
@@ -204,9 +204,9 @@ def answers_of(recording: Recording, config: CellConfig | None) -> Iterator[Answ
             posteriors=tuple(_posterior(labels, one) for one in row.get("grasp_answers", ())),
             n_grasps=row["n_grasps"],
             whole_ramps=not row.get("n_ended_early"),
-            grasps=tuple(recording.grasps[i] for i in shown),
+            grasps=tuple(recording.grasps[i] for i in counted),
             notes=tuple(
-                f"{_pose(recording, i)}; {_force_n(recording.grasps[i]):.1f} N" for i in shown
+                f"{_pose(recording, i)}; {_force_n(recording.grasps[i]):.1f} N" for i in counted
             ),
             shape=_shape(row["shape"]) if row.get("shape") else None,
             place=places[-1] if places else "",
@@ -278,21 +278,21 @@ def drawn_answers(answers: list[Answered]) -> list[Answered]:
     """
     drawn = []
     for name in dict.fromkeys(one.name for one in answers):
-        found = [one for one in answers if one.name == name]
-        found.sort(key=lambda one: (one.label == one.held, -one.n_grasps))
-        drawn += found[:_SEQUENCES_PER_OBJECT]
+        named = [one for one in answers if one.name == name]
+        named.sort(key=lambda one: (one.label == one.held, -one.n_grasps))
+        drawn += named[:_SEQUENCES_PER_OBJECT]
     return drawn[:MAX_SEQUENCES]
 
 
 def _examples(recording: Recording, answers: list[Answered]) -> list[tuple[str, int]]:
     """Return name and number of the strongest grasp of each object, of taught ones if there are."""
     named = {id(grasp): one.name for one in answers for grasp in one.grasps}
-    found: dict[str, int] = {}
+    examples: dict[str, int] = {}
     grasps = [(i, grasp) for i, grasp in enumerate(recording.grasps) if grasp.commanded]
     for i, grasp in sorted(grasps, key=lambda one: (bool(one[1].label), _force_n(one[1]))):
         if name := grasp.label or named.get(id(grasp)):
-            found[name] = i  # the last one stays
-    return sorted(found.items(), key=lambda one: one[1])
+            examples[name] = i  # the last one stays
+    return sorted(examples.items(), key=lambda one: one[1])
 
 
 def _grasp_view(recording: Recording, label: str, number: int) -> dict[str, Any]:
@@ -322,7 +322,7 @@ def pressure_view(grasp: Grasp, names: Sequence[str], gripping: Sequence[int]) -
     full = max(1.0, *(float(counts.max()) for _, counts in levels))
     taxels = [pads.taxels_of(number) for number in range(pads.n_pads)]
     least, last = UNTOUCHED_SHARE * pads.adc_max, levels[-1][1]
-    shown = [i for i, of_pad in enumerate(taxels) if i in gripping or last[of_pad].max() > least]
+    visible = [i for i, of_pad in enumerate(taxels) if i in gripping or last[of_pad].max() > least]
 
     def pad(number: int, counts: NDArray[np.float64]) -> tuple[str, str]:
         xy_mm, values = 1e3 * pads.taxel_xy_m[taxels[number]], counts[taxels[number]]
@@ -331,10 +331,10 @@ def pressure_view(grasp: Grasp, names: Sequence[str], gripping: Sequence[int]) -
 
     return {
         "levels": [
-            (f"{force_n:.1f} N", float(counts.max()), [pad(number, counts) for number in shown])
+            (f"{force_n:.1f} N", float(counts.max()), [pad(number, counts) for number in visible])
             for force_n, counts in levels
         ],
-        "n_untouched": pads.n_pads - len(shown),
+        "n_untouched": pads.n_pads - len(visible),
         "full": full,
         "adc_max": pads.adc_max,
     }
@@ -383,8 +383,8 @@ def _facts(config: CellConfig | None, pads: PadArray) -> dict[str, str]:
 
 def _files(recording: Recording) -> dict[str, str]:
     """Return the recording and the files that `run` writes beside it."""
-    beside = {"Data set": "model.grasps.npz", "Model": "model.npz"}
-    files = {what: recording.path.with_name(name) for what, name in beside.items()}
+    names = {"Data set": "model.grasps.npz", "Model": "model.npz"}
+    files = {what: recording.path.with_name(name) for what, name in names.items()}
     there = {what: str(file) for what, file in files.items() if file.is_file()}
     return {"Recording": str(recording.path)} | there
 

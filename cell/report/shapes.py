@@ -28,18 +28,18 @@ def shapes_view(
 
     ``true_sizes`` are texts by label, for objects of a simulated cell.
     """
-    felt = [(truth, label, shape) for truth, label, shape in rows if shape is not None]
-    if not felt:
+    read = [(truth, label, shape) for truth, label, shape in rows if shape is not None]
+    if not read:
         return None
     ends_mm = [
-        1e3 * x for *_, shape in felt for t in shape.thicknesses for x in (t.low_m, t.high_m)
+        1e3 * x for *_, shape in read for t in shape.thicknesses for x in (t.low_m, t.high_m)
     ]
     step_mm = _step_mm(max(ends_mm) - min(ends_mm))
     low_mm = step_mm * np.floor(min(ends_mm) / step_mm)
     high_mm = max(step_mm * np.ceil(max(ends_mm) / step_mm), low_mm + step_mm)
     groups = []
     for name, count in Counter(truth or label for truth, label, _ in rows).items():
-        shapes = [shape for truth, label, shape in felt if (truth or label) == name]
+        shapes = [shape for truth, label, shape in read if (truth or label) == name]
         groups.append(
             {
                 "label": name,
@@ -48,7 +48,7 @@ def shapes_view(
                 "text": "; ".join(filter(None, (_sizes(shapes), true_sizes.get(name)))),
             }
         )
-    strangers = [(truth, in_words(shape)) for truth, label, shape in felt if label == UNKNOWN]
+    strangers = [(truth, in_words(shape)) for truth, label, shape in read if label == UNKNOWN]
     return {
         "groups": groups,
         "at": lambda x_m: 100.0 * (1e3 * x_m - low_mm) / (high_mm - low_mm),
