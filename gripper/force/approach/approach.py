@@ -205,8 +205,7 @@ class Approach:
                 finger.waits_rad = None
             elif finger.waits_rad is None:
                 finger.waits_rad = servo.angle_rad
-            # A finger that is ahead waits: none opens.
-            angle_rad, current_a = min(ahead_rad, servo.angle_rad), closing_a
+            angle_rad, current_a = ahead_rad, closing_a
             if stands:
                 angle_rad = servo.angle_rad
             elif finger.waits_rad is not None:

@@ -13,6 +13,7 @@ from gripper.force.supervision.part_watch import (
 )
 from gripper.mechanics.kinematics import Linkage, transmissions
 from gripper.servos.goal_limits import standing
+from gripper.servos.group import frozen
 from gripper.settings import GripperSettings
 from gripper.values.recent import LEAST_SAMPLES, RecentForce
 from gripper.values.state import GRAIN_M, ServoFeedback
@@ -88,8 +89,9 @@ class EmptyGrip:
         if self._ran:
             return self._pads(moment)
         state, approach = moment.state, self._approach
-        goals, travel_m = approach.step(moment).goals, self._begun_m - state.aperture_m
-        assert goals is not None
+        # A finger that is ahead waits: none opens.
+        goals = frozen(approach.step(moment).goals or (), state)
+        travel_m = self._begun_m - state.aperture_m
         if travel_m >= self._run_m or approach.event is ApproachEvent.LIMIT:
             self._ran = True
             self._watch_from(moment.now_s)
@@ -113,9 +115,8 @@ class EmptyGrip:
         after = sample.t_s - 2.0 * sample.lag_s > self._since_s
         if after:
             self._samples.push(sample)
-        if not after and max(sample.force_n) > self._loaded_n:
-            return Action()
-        if sample.frame_s is not None and len(self._frames) < _CONFIRMING_FRAMES:
+        few = sample.frame_s is not None and len(self._frames) < _CONFIRMING_FRAMES
+        if few or (not after and max(sample.force_n) > self._loaded_n):
             return Action()
         means_n = self._samples.finger_means_n if self._samples else sample.force_n
         frames_n = self._frames.finger_means_n
