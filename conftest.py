@@ -10,15 +10,19 @@ import datetime
 import os
 import sys
 import zlib
+from contextlib import suppress
 
 import pytest
-from hypothesis import settings
 
 # Threads of the linear algebra only spin where tests share the processors.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-settings.register_profile("tests", derandomize=True, deadline=None)
-settings.load_profile("tests")
+# Contracts that a user runs in a checkout need none of the packages for its own tests.
+with suppress(ImportError):
+    from hypothesis import settings
+
+    settings.register_profile("tests", derandomize=True, deadline=None)
+    settings.load_profile("tests")
 
 _NAME = "pytest_tactile_cell"
 pytest_plugins = [

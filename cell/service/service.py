@@ -355,7 +355,9 @@ class Service:
 
         def begin() -> Job:
             if command is Command.RELEASE and key != RELEASE_KEY:
-                raise RequestRefused(f"release: {key:#x} is not the key; with it the part may fall")
+                raise RequestRefused(
+                    f"release: the key is {key:#x}, not {RELEASE_KEY:#x}; with it the part may fall"
+                )
             if command is not Command.CLEAR:
                 return self.plugin.start_command(command, reboot=reboot)
             gone = self._gone

@@ -245,7 +245,7 @@ def test_each_command_is_remarked_with_its_client(served) -> None:
     service, lease = served.service, served.service.lease.acquire("first")
     service.start(lease, KEEP)
     for key in (1, 0, RELEASE_KEY + 1, 0x504F):
-        with pytest.raises(RequestRefused, match="is not the key"):
+        with pytest.raises(RequestRefused, match=r"the key is 0x.*, not 0x4f50"):
             service.command(lease, Command.RELEASE, key=key)
     with pytest.raises(RequestRefused, match="no job 2; the newest is 1"):
         service.plugin.job(2)
@@ -261,7 +261,7 @@ def test_each_command_is_remarked_with_its_client(served) -> None:
         ("lease", "'first' is in command"),
         ("command", "job 1: identify, max_grasps 1, present ball, keep always, by 'first'"[:60]),
         ("command", "job 2: release, by 'first'"),
-        ("command", "job 2 refused: release: 0x1 is not the key; with it the part"),
+        ("command", "job 2 refused: release: the key is 0x1, not 0x4f50; with it "),
         ("command", "job 2: reset, by 'first'"),
         ("command", "job 2 refused: the cell is COMPLETE; allowed: verify, release"[:60]),
         ("command", "job 2: release, by 'first'"),
