@@ -150,11 +150,13 @@ class CellConfig(Section):
         with raised_as(ValueError, LayoutError, where="tactile"):
             self.tactile.sensor.check(self.tactile, layout)
         self._check_full_scale(layout, most_n)
-        axes = (port == SIMULATED for port in self.positioner.ports)
+        axes = [port == SIMULATED for port in self.positioner.ports]
         if {*axes, self.tactile.simulated} != {self.simulated}:
+            pads = "simulated" if self.tactile.simulated else "real"
             raise ValueError(
-                "gripper.port, the ports of the pads (tactile.interface or tactile.sensor.ports) "
-                "and those of the axes must all be `simulated` or all be real: a real gripper "
+                f"gripper.port is {self.gripper.port}, the pads (tactile.interface or "
+                f"tactile.sensor.ports) are {pads}, {sum(axes)} of {len(axes)} ports of axes are "
+                "simulated: they must all be `simulated` or all be real, because a real gripper "
                 "cannot touch a simulated object"
             )
         keys: dict[str, list[str]] = {}

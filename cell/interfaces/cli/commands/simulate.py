@@ -27,7 +27,8 @@ def simulate(
     seed: options.Seed = None,
     faults: options.Faults = None,
     list_faults: Annotated[
-        bool, typer.Option("--list-faults", help="Print all faults, and end.")
+        bool,
+        typer.Option("--list-faults", help="Print all faults (--fault NAME=VALUE@TIME), and end."),
     ] = False,
     ask: Annotated[
         str | None,
