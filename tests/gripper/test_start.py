@@ -16,6 +16,8 @@ from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.state import GripperPhase
 from simulator.servo.faults import Chatter, WireFaults
 
+PING_BYTES = 14
+"""Answer to a ping: Model Number and Firmware Version in a status packet."""
 SENTENCE = b"$GPGGA,092751.000,5321.6802,N,00630.3371,W,1,8,1.03,61.7,M\r\n"
 PATTERNS = {
     "dense": Chatter(data=b"\xa5", every_s=0.0003),
@@ -167,15 +169,17 @@ def test_a_latency_of_2_ms_only_makes_the_time_outs_longer(cell) -> None:
     assert cell.gripper.statistics.missed_reads == 0
 
 
-def test_a_machine_that_is_too_busy_is_refused(cell) -> None:
+@pytest.mark.parametrize("how", ["late", "lost"])
+def test_a_machine_that_is_too_busy_is_refused(cell, how) -> None:
     class Busy(WireFaults):
         answers = 0
 
         def answer(self, servo_id: int, packet: bytes) -> list[tuple[float, bytes]]:
-            """Return each third answer late."""
-            self.answers += 1
-            self.delay_s = 0.02 if self.answers % 3 == 0 else 0.0
-            return super().answer(servo_id, packet)
+            """Return each third answer to a ping late, or not at all."""
+            self.answers += len(packet) == PING_BYTES
+            third = self.answers % 3 == 0 and len(packet) == PING_BYTES
+            self.delay_s = 0.02 if third and how == "late" else 0.0
+            return [] if third and how == "lost" else super().answer(servo_id, packet)
 
     cell.device.faults = Busy()
     with pytest.raises(LinkTooSlow, match="too busy"):

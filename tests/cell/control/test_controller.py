@@ -460,6 +460,7 @@ def test_fingers_that_close_before_a_frame_comes_open_again(controller: CellCont
     assert len(controller.hand.released) == 1  # type: ignore[attr-defined]
     assert controller.life.result is GraspResult.NO_CONTACT
     assert (controller.life.state, controller.life.fault) == (CellState.IDLE, None)
+    assert controller.life.status.fault_number == 0
 
 
 def test_servos_that_carry_less_than_asked_for_end_the_ramp_there_with_one_note(

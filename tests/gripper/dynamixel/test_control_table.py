@@ -74,7 +74,7 @@ def test_models_without_current_control_are_refused_with_the_reason() -> None:
 
 def test_hardware_error_bits_have_names() -> None:
     assert hardware_error_names(0x25) == ("input voltage", "overheating", "overload")
-    assert hardware_error_names(0x02) == ("undefined bit 1",)
+    assert hardware_error_names(0x1A) == ("undefined bit 1", "encoder", "electrical shock")
 
 
 # -- The RH-P12-RN(A): addresses by the model ------------------------------------------------------
