@@ -81,6 +81,20 @@ def test_pads_that_are_empty_for_a_moment_are_no_doubt(watched: Watched) -> None
     assert watched.watch._suspicion is None
 
 
+@pytest.mark.parametrize(("empty_s", "suspicious"), [(0.09, False), (0.11, True)])
+def test_little_force_is_doubted_once_the_pads_were_empty_for_five_frames(
+    watched: Watched, empty_s: float, suspicious: bool
+) -> None:
+    watched.grip.planned_n = 0.7
+    watched.force_n = watched.frame_n = 0.0
+    watched.pressing_n = 1.0
+    # The first samples still have force in their mean.
+    while watched.watch._suspicion is None:
+        watched.period()
+    watched.period(round(empty_s / PERIOD_S))
+    assert watched.watch.suspicious is suspicious
+
+
 def test_much_force_that_is_gone_at_once_is_doubted_and_a_frame_confirms_it(watched) -> None:
     watched.force_n = watched.frame_n = 0.0
     watched.pressing_n = 1.0  # less than friction at rest: free fingers would stand as well
