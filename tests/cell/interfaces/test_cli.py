@@ -645,6 +645,7 @@ def test_a_signal_stops_the_job_and_keeps_grip_recording_and_what_was_grasped(
         assert "recording.mcap: use it with `tactile-cell model train`" in said
 
 
+@pytest.mark.slow
 def test_a_report_that_cannot_be_written_does_not_cost_the_result(
     config, taught, fail, monkeypatch
 ) -> None:
