@@ -84,8 +84,8 @@ def latency_timer_ms(path: str) -> int | None:
 class SerialStream:
     """A serial port of the operating system for one program, which a lock of its file excludes.
 
-    Raises PortLost when the port is missing, used or not permitted; the
-    message names the remedy. Raises LimitExceeded when servos do not support the baud rate.
+    Raises PortLost when the port is missing, used or not permitted; the message names the remedy.
+    Raises LimitExceeded when servos do not support the baud rate.
 
     Parameters
     ----------
@@ -102,9 +102,7 @@ class SerialStream:
             )
         self.path = path
         try:
-            self._serial = serial.Serial(
-                path, baudrate, timeout=0, write_timeout=_WRITE_TIMEOUT_S, exclusive=True
-            )
+            self._serial = serial.Serial(path, baudrate, timeout=0, exclusive=True)
         except _PORT_ERRORS as error:
             raise PortLost(_opening_failed(path, error)) from error
         # The driver hands bytes on at once; not every driver can.
@@ -115,9 +113,19 @@ class SerialStream:
         return self.path
 
     def write(self, data: bytes, /) -> None:
-        """Send all bytes; PortLost when the line is gone, or takes them for more than 0.1 s."""
+        """Send all bytes; PortLost when the line is gone, or takes no more for 0.1 s.
+
+        pyserial's own method counts the time in which this process does not run: a program that was
+        stopped would lose a port that has taken all bytes.
+        """
         try:
-            self._serial.write(data)
+            while True:
+                with suppress(BlockingIOError):
+                    data = data[os.write(self._serial.fileno(), data) :]
+                if not data:
+                    return
+                if not select.select([], [self._serial.fileno()], [], _WRITE_TIMEOUT_S)[1]:
+                    raise self._lost("it takes no data")
         except _PORT_ERRORS as error:
             raise self._lost(error) from error
 
