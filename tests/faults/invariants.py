@@ -34,9 +34,9 @@ _ERROR = 70
 """Address of the register Hardware Error Status (XM430 manual)."""
 _RESTING = (GripperPhase.IDLE, GripperPhase.HOLDING, GripperPhase.HELD_AFTER_FAULT)
 _OPENING = (GripperPhase.OPENING, GripperPhase.RELEASING)
-_BRAKING_M = 0.0013
-"""How far in m fingers may open after the gripper has ended a motion: 0.7 mm by their inertia at 60
-mm/s, and 0.3 mm in each of two periods, because an answer may be lost."""
+_BRAKING_M, _LOST_ANSWER_M = 0.001, 0.0003
+"""How far in m fingers may open after the gripper has ended a motion: their inertia, one period.
+And in a period more at 60 mm/s, where the servo line was disturbed at the stop."""
 _LOST_REQUESTS = "servos.lost_requests"
 """Fault under which a stop may be lost: then the fingers go on to the goal of their opening."""
 _BEYOND_M = 0.004
@@ -118,6 +118,7 @@ class InvariantMonitor:
         self._moving_s, self._motion = -math.inf, GripperPhase.OFF
         self._phase_before: GripperPhase | None = None
         self._stood_m: float | None = None
+        self._braking_m = _BRAKING_M
         self._frozen_raw: list[int] | None = None
         self._pushed_s = -math.inf
         self._most_n = 0.0
@@ -322,7 +323,10 @@ class InvariantMonitor:
         opening_m = self._simulated.devices.mechanics.aperture_m
         if self._stood_m is None:
             self._stood_m = opening_m
-        allowed_m = _BRAKING_M
+            faults = [fault.entry.name for fault in self._simulated.injector.faults]
+            disturbed_line = any(name.startswith("servos.") for name in faults)
+            self._braking_m = _BRAKING_M + (_LOST_ANSWER_M if disturbed_line else 0.0)
+        allowed_m = self._braking_m
         if silent:
             allowed_m += self._open_speed_m_s * self._watchdog_s
         if self._has_fault(_LOST_REQUESTS):
