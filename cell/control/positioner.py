@@ -4,6 +4,7 @@ import json
 import math
 import socket
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import asdict, dataclass, replace
@@ -157,6 +158,7 @@ class SocketPlacer:
 
     def __init__(self, path: str, *, timeout_s: float = 5.0) -> None:
         self._path = path
+        self._timeout_s = timeout_s
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._socket.settimeout(timeout_s)
         try:
@@ -166,7 +168,7 @@ class SocketPlacer:
             raise PositionerError(
                 f"no simulated cell answers at {path} ({error}); is it running?"
             ) from error
-        self._replies = self._socket.makefile("rb")
+        self._received = bytearray()
 
     def check(self, label: str) -> None:
         """Ask the other process for an object; see `ObjectPlacer`."""
@@ -184,7 +186,6 @@ class SocketPlacer:
 
     def close(self) -> None:
         """Close the connection; the object stays where it is."""
-        self._replies.close()
         self._socket.close()
 
     def ask(self, request: dict[str, Any]) -> dict[str, Any]:
@@ -194,11 +195,11 @@ class SocketPlacer:
         """
         try:
             self._socket.sendall(json.dumps(request).encode() + b"\n")
-            line = self._replies.readline(_LONGEST_REPLY)
+            line = self._line()
             reply = json.loads(line) if line else None
         except (OSError, ValueError, RecursionError) as error:
             # A late answer must not be taken for that of the next request.
-            self.close()
+            self._socket.close()
             raise PositionerError(
                 f"the connection to the simulated cell at {self._path} is lost: {error}"
             ) from error
@@ -207,6 +208,22 @@ class SocketPlacer:
         if "error" in reply:
             raise PositionerError(f"the simulated cell refused: {reply['error']}")
         return reply
+
+    def _line(self) -> bytes:
+        """Return the next line, empty at the end. Raises TimeoutError if it is incomplete."""
+        end_s = time.monotonic() + self._timeout_s
+        while b"\n" not in self._received and len(self._received) < _LONGEST_REPLY:
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
+                raise TimeoutError(f"no answer within {self._timeout_s:g} s")
+            self._socket.settimeout(left_s)
+            data = self._socket.recv(4096)
+            if not data:
+                return b""
+            self._received += data
+        line, _, rest = self._received.partition(b"\n")
+        self._received = rest
+        return bytes(line)
 
 
 class OperatorPositioner:
