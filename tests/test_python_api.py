@@ -53,9 +53,9 @@ def test_each_name_of_a_face_is_what_type_checkers_see(package) -> None:
 
 @pytest.mark.parametrize("package", FACES)
 def test_a_package_imports_nothing_before_it_is_used(package) -> None:
-    found = loaded(package)
-    assert not found & {"numpy", "scipy", *SERVOS, *CAN, "pydantic"}
-    assert {name for name in found if name.partition(".")[0] in FACES} == {package}
+    imported = loaded(package)
+    assert not imported & {"numpy", "scipy", *SERVOS, *CAN, "pydantic"}
+    assert {name for name in imported if name.partition(".")[0] in FACES} == {package}
 
 
 # -- What a program pays for an import -------------------------------------------------------------

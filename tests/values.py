@@ -77,14 +77,14 @@ def make_source_statistics(**changes: Any) -> SourceStatistics:
 
 def make_identification(*posteriors: Posterior, **changes: Any) -> Identification:
     decision = decide(posteriors, StopRule(max_grasps=len(posteriors)))
-    found = Identification(
+    made = Identification(
         label=decision.label,
         decision=decision,
         posteriors=posteriors,
         fused=fuse(posteriors),
         records=(),
     )
-    return replace(found, **changes)
+    return replace(made, **changes)
 
 
 def make_shape(

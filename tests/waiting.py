@@ -12,7 +12,7 @@ LIMIT_S = 60.0
 def until(true: Callable[[], Any]) -> Any:
     """Wait for a condition and return it."""
     end_s = time.monotonic() + LIMIT_S
-    while not (found := true()):
+    while not (result := true()):
         assert time.monotonic() < end_s
         threading.Event().wait(0.005)
-    return found
+    return result

@@ -56,18 +56,18 @@ def test_it_prints_its_figures(name, capsys, monkeypatch, tmp_path) -> None:
 @pytest.mark.long
 @pytest.mark.timeout(600)
 def test_a_short_soak_leaves_no_file_and_no_thread(capsys, monkeypatch) -> None:
-    kept = {"descriptors": 0.01, "threads": 0.01}
-    monkeypatch.setattr(soak, "LIMITS", dict.fromkeys(soak.LIMITS, kept))
+    rates = {"descriptors": 0.01, "threads": 0.01}
+    monkeypatch.setattr(soak, "LIMITS", dict.fromkeys(soak.LIMITS, rates))
     monkeypatch.setattr(soak, "REST_S", 0.5)
     soak.main(grasps=6, connects=40, hours=0.05, starts=2)
     printed = capsys.readouterr().out
     assert printed.count("descriptors grow by 0.0000 each") == 4
 
 
-@pytest.mark.parametrize(("leak", "found"), [(0.0, 0), (1.0, 1)])
-def test_a_leak_is_found_and_one_step_of_the_allocator_is_none(leak, found) -> None:
+@pytest.mark.parametrize(("leak", "is_leak"), [(0.0, 0), (1.0, 1)])
+def test_a_leak_is_found_and_one_step_of_the_allocator_is_none(leak, is_leak) -> None:
     samples = [{"done": 20 * i, "objects": 2000 * (i > 9) + 20 * i * leak} for i in range(50)]
-    assert len(soak.judge(samples, {"objects": 0.5})) == found
+    assert len(soak.judge(samples, {"objects": 0.5})) == is_leak
 
 
 def test_the_command_names_what_there_is(monkeypatch) -> None:
@@ -243,9 +243,9 @@ def test_a_parabola_has_one_invariant_at_all_its_points(shift):
     # y = (x + shift)^2 / 4 has p = 2: the invariant is p^(-2/3).
     x = np.array([-1.0, 0.0, 2.0]) + shift
     stretch = 1.0 + (x / 2) ** 2
-    found = comparators.curve_invariants(0.5 / stretch**1.5, -0.375 * x / stretch**3)
-    assert found[:3] == pytest.approx(np.full(3, 2.0 ** (-2 / 3)))
-    assert found[3] == pytest.approx(0.0, abs=1e-9)
+    invariants = comparators.curve_invariants(0.5 / stretch**1.5, -0.375 * x / stretch**3)
+    assert invariants[:3] == pytest.approx(np.full(3, 2.0 ** (-2 / 3)))
+    assert invariants[3] == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("t", [(0.2, 0.7), (0.3, 1.0, 1.4)])
@@ -302,7 +302,7 @@ def quoted(page: str, command: str) -> list[str]:
 
     A command stands in the last cell of a row, or in the paragraph above the table.
     """
-    found, above, is_ended = [], "", False
+    quotes, above, is_ended = [], "", False
     for line in page.splitlines():
         if not line.startswith("|"):
             if line.strip():
@@ -312,10 +312,10 @@ def quoted(page: str, command: str) -> list[str]:
         is_ended = True
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if command in cells[-1]:
-            found.append(cells[-2])
+            quotes.append(cells[-2])
         elif command in above:
-            found += cells[1:]
-    return [cell for cell in found if numbers(cell)]
+            quotes += cells[1:]
+    return [cell for cell in quotes if numbers(cell)]
 
 
 def differing(cells: list[str], printed: str) -> list[str]:
@@ -394,5 +394,5 @@ def test_the_evaluation_of_today_prints_what_is_quoted() -> None:
 @pytest.mark.timeout(900)
 def test_the_tutorial_shows_what_is_printed_today() -> None:
     page = TUTORIAL.read_text(encoding="utf-8")
-    shown, new = (re.sub(r"\d{8}-\d{6}", "TIME", text) for text in (page, today(page)))
-    assert new == shown
+    stored, new = (re.sub(r"\d{8}-\d{6}", "TIME", text) for text in (page, today(page)))
+    assert new == stored

@@ -101,10 +101,10 @@ class Served:
     def ask_pose(self, pose: Pose) -> Future[Pose | bool]:
         """Wait for the host at a pose, as the thread of a cell does; return what it answers."""
         thread = ThreadPoolExecutor(1)
-        found = thread.submit(self.service._poses.move, pose)
+        answer = thread.submit(self.service._poses.move, pose)
         thread.shutdown(wait=False)
         until(lambda: self.service.snapshot().pose)
-        return found
+        return answer
 
 
 @contextmanager
@@ -371,8 +371,10 @@ class StubPlugin:
         command, value, keeps = Command.GRASP, None, False
         if isinstance(goal, IdentifyGoal):
             label, keeps = self.finds or goal.present or "ball", goal.keep != "never"
-            found = {UNKNOWN: 0.1, label: 0.9}
-            value = Part(label=label, probabilities=found, n_grasps=1, in_grip=keeps, shape=ROUND)
+            probabilities = {UNKNOWN: 0.1, label: 0.9}
+            value = Part(
+                label=label, probabilities=probabilities, n_grasps=1, in_grip=keeps, shape=ROUND
+            )
         elif isinstance(goal, GripGoal | VerifyGoal):
             command, value, keeps = Command(goal.task), FOUND, True
         end = CellState.COMPLETE if keeps else CellState.IDLE

@@ -348,9 +348,9 @@ def test_a_person_without_hardware_moves_the_fingers_from_a_second_terminal(cell
     ):
         ended = CliRunner().invoke(app, [*ask, request])
         assert replied in f"{ended.output} {ended.exception}"
-    shown = CliRunner().invoke(app, [*ask, "-"], input="dance\nclose\n")
-    assert "'dance' is not a command" in shown.stderr
-    assert shown.stdout.startswith("hands> hands> finger 0 0.0 mm from the middle")
+    result = CliRunner().invoke(app, [*ask, "-"], input="dance\nclose\n")
+    assert "'dance' is not a command" in result.stderr
+    assert result.stdout.startswith("hands> hands> finger 0 0.0 mm from the middle")
 
 
 # -- Other sensors than the control unit in whole cells, and the lines of a hand -------------------
@@ -378,8 +378,8 @@ def test_a_cell_grasps_and_records_on_boards_of_each_profile(profile, tmp_path) 
         health = cell.health()["tactile"]
         assert health["complete"] > 60
         assert (health["torn"], health["force_received"], health["void_frames"]) == (0, 0, 0)
-    (kept,) = read_grasps(tmp_path / "recording.mcap")
-    assert (kept.counts == grasp.counts).all()
+    (recorded,) = read_grasps(tmp_path / "recording.mcap")
+    assert (recorded.counts == grasp.counts).all()
 
 
 @pytest.mark.long

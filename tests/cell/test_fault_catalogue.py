@@ -65,8 +65,8 @@ def error_classes() -> Iterator[type[BaseException]]:
         for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
             if module.name.startswith(NOT_FOR_HOSTS):
                 continue
-            found = importlib.import_module(module.name)
-            for _, kind in inspect.getmembers(found, inspect.isclass):
+            imported = importlib.import_module(module.name)
+            for _, kind in inspect.getmembers(imported, inspect.isclass):
                 bases = (GripperError, MotionError, TactileError, RecognitionError, CellError)
                 if issubclass(kind, bases) and kind.__module__ == module.name:
                     yield kind

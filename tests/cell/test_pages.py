@@ -42,9 +42,9 @@ def typed(page: str) -> Iterator[str]:
         program, *arguments = shlex.split(line, comments=True)
         if program == "tactile-cell":
             # A person says yes where it asks.
-            found = CliRunner().invoke(app, arguments, input="y\n", catch_exceptions=False)
-            assert found.exit_code == 0, (line, found.output)
-            yield found.output
+            result = CliRunner().invoke(app, arguments, input="y\n", catch_exceptions=False)
+            assert result.exit_code == 0, (line, result.output)
+            yield result.output
 
 
 @pytest.mark.slow
@@ -74,8 +74,8 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
 
 
 def test_the_config_of_the_page_on_keys_is_valid() -> None:
-    (shown,) = blocks("../reference/config.md", "yaml")
-    assert parse_config(shown, source="page").gripper.port.startswith("/dev")
+    (block,) = blocks("../reference/config.md", "yaml")
+    assert parse_config(block, source="page").gripper.port.startswith("/dev")
 
 
 @pytest.mark.long
@@ -92,8 +92,8 @@ def test_the_page_on_updates_can_be_typed(here) -> None:
 def test_the_page_on_recordings_can_be_typed(here) -> None:
     (config,) = blocks("keep-recordings.md", "yaml")
     Path("of-the-page.yaml").write_text(config)
-    kept = load_config(Path("of-the-page.yaml")).recording
-    assert kept == type(kept)()  # the page shows the defaults
+    settings = load_config(Path("of-the-page.yaml")).recording
+    assert settings == type(settings)()  # the page shows the defaults
     recording = Path("out/serve-20270115-080000/recording.mcap")
     recording.parent.mkdir(parents=True)
     recording.touch()
@@ -103,10 +103,10 @@ def test_the_page_on_recordings_can_be_typed(here) -> None:
     history = History(Path("out/history-press-4.sqlite3"), lambda: STATE)
     history.update()
     history._close_link()
-    found: dict[str, Any] = {}
+    names: dict[str, Any] = {}
     (example,) = blocks("keep-recordings.md", "python")
-    exec(example, found)
-    assert [row["kind"] for row in found["rows"]] == ["start"]
+    exec(example, names)
+    assert [row["kind"] for row in names["rows"]] == ["start"]
 
 
 class STATE:
@@ -148,8 +148,8 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 def test_readme_shows_the_test_that_is_run() -> None:
     page = (ROOT / "docs/how-to/test-your-cell.md").read_text(encoding="utf-8")
-    shown, typed = (re.findall(r"```python\n.*?```", text, re.DOTALL) for text in (README, page))
-    assert shown == typed
+    quoted, typed = (re.findall(r"```python\n.*?```", text, re.DOTALL) for text in (README, page))
+    assert quoted == typed
 
 
 @pytest.mark.slow
@@ -158,10 +158,10 @@ def test_the_example_teaches_and_identifies(capsys: pytest.CaptureFixture[str]) 
     runpy.run_path(str(ROOT / "docs/examples/host_program.py"), run_name="__main__")
     printed = capsys.readouterr().out
     assert printed.count("robot:") >= 19
-    name, shape, kept = printed.splitlines()[-3:]
+    name, shape, in_grip = printed.splitlines()[-3:]
     assert name.startswith("box, ")
     assert re.match(r"it feels like: flat, (9\.[7-9]|10\.[0-3]) mm", shape)
-    assert kept == "  robot: to the bin of box, the part in the grip: True"
+    assert in_grip == "  robot: to the bin of box, the part in the grip: True"
 
 
 QUICK_START = README.partition("## Quick start")[2].partition("\n## ")[0]
@@ -235,7 +235,7 @@ def test_benchmarks_that_the_docs_name_exist() -> None:
         for name in names.split()
     ]
     assert len(named) > 8
-    assert not [found for found in named if found[1] not in modules()]
+    assert not [match for match in named if match[1] not in modules()]
 
 
 # -- What belongs together is found together: packages of one installation, extras, examples -------

@@ -69,9 +69,9 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Insta
 
 def test_what_is_built_in_loads_and_no_table_beside_has_other_names() -> None:
     for group in GROUPS:
-        found = list(group.examine())
-        assert found
-        for one in found:
+        examined = list(group.examine())
+        assert examined
+        for one in examined:
             assert (one.problem, one.package) == ("", PROGRAM)
             assert group.built_in(one.name)
     assert set(SERVO_MODELS) == set(models.MODELS)
@@ -159,7 +159,7 @@ PAGE = (ROOT / "docs/how-to/add.md").read_text(encoding="utf-8")
 
 
 def test_the_layout_on_the_page_has_the_pads_of_the_sensor() -> None:
-    (shown,) = re.findall(r"```yaml\n(tactile:\n  layout:.*?)```", PAGE, re.DOTALL)
-    layout = layout_from_config(parse_config(shown, source="page").tactile)
+    (block,) = re.findall(r"```yaml\n(tactile:\n  layout:.*?)```", PAGE, re.DOTALL)
+    layout = layout_from_config(parse_config(block, source="page").tactile)
     assert layout.name == "dfrobot_6x6"
     assert layout == inner_pads("dfrobot_6x6", 6, 6, 3e-3, adc_max=4095)

@@ -106,12 +106,12 @@ class Unit:
 
     def frames(self, seconds: float) -> list[TactileFrame]:
         """Poll for so long and return the frames that came."""
-        found: list[TactileFrame] = []
+        received: list[TactileFrame] = []
         end_s = self.clock.monotonic() + seconds
         while self.clock.monotonic() < end_s:
-            found += self.link.poll().frames
+            received += self.link.poll().frames
             self.clock.sleep(0.001)
-        return found
+        return received
 
     def send(self, cob_id: int, data: bytes) -> None:
         self.bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
@@ -139,8 +139,8 @@ class Unit:
         self.send(0, bytes((NMT_RESET_COMMUNICATION, self.node_id)))
         end_s = self.clock.monotonic() + BOOT_S
         while (left_s := end_s - self.clock.monotonic()) > 0:
-            found = self.receive(0x700 + self.node_id, left_s)
-            if found is not None and found[1] == b"\0":
+            message = self.receive(0x700 + self.node_id, left_s)
+            if message is not None and message[1] == b"\0":
                 return
         pytest.fail(f"control unit {self.node_id} sends no boot-up within {BOOT_S} s after a reset")
 
@@ -172,14 +172,14 @@ def servos(
 ) -> Iterator[Servos]:
     bench = _bench(request, cell_config, cell_faults)
     bus, (stream, clock) = bench.servo_bus, bench.servo_line
-    found = Servos(
+    group = Servos(
         bus=bus,
         stream=stream,
         clock=clock,
         ids=tuple(servo.id for servo in cell_config.gripper.servos),
         may_move=request.param == "simulator" or bench.options.allow_motion,
     )
-    for servo_id in found.ids:
+    for servo_id in group.ids:
         if bus.read(servo_id, TORQUE_ENABLE):
             pytest.fail(
                 f"servo {servo_id} holds torque, a part may be in the grip: nothing was "
@@ -187,10 +187,10 @@ def servos(
                 "--confirm), then switch the torque off",
                 pytrace=False,
             )
-    before = {i: [bus.read(i, r) for r in EEPROM] for i in found.ids}
-    yield found
-    assert {i: [bus.read(i, r) for r in EEPROM] for i in found.ids} == before
-    assert not any(bus.read(i, TORQUE_ENABLE) for i in found.ids)
+    before = {i: [bus.read(i, r) for r in EEPROM] for i in group.ids}
+    yield group
+    assert {i: [bus.read(i, r) for r in EEPROM] for i in group.ids} == before
+    assert not any(bus.read(i, TORQUE_ENABLE) for i in group.ids)
 
 
 @pytest.fixture
@@ -221,12 +221,12 @@ def unit(
             heartbeat_s=wanted.heartbeat_ms * 1e-3,
         ),
     )
-    found = Unit(bus=bus, clock=clock, node_id=wanted.node_id, link=link)
-    found.clock.sleep(POWER_UP_S)
-    found.reset()
-    yield found
+    opened = Unit(bus=bus, clock=clock, node_id=wanted.node_id, link=link)
+    opened.clock.sleep(POWER_UP_S)
+    opened.reset()
+    yield opened
     link.stop()
-    found.reset()
+    opened.reset()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -245,15 +245,16 @@ class Drive:
 
     def heard(self, cob_id: int, seconds: float) -> list[tuple[float, bytes]]:
         """Return time and data of the messages of an identifier that come within so many s."""
-        found: list[tuple[float, bytes]] = []
+        messages: list[tuple[float, bytes]] = []
         self.bus.subscribe(
-            cob_id, lambda _id, data, _time_s: found.append((self.clock.monotonic(), bytes(data)))
+            cob_id,
+            lambda _id, data, _time_s: messages.append((self.clock.monotonic(), bytes(data))),
         )
         end_s = self.clock.monotonic() + seconds
         while (left_s := end_s - self.clock.monotonic()) > 0:
             self.bus.wait(left_s)
             self.bus.service()
-        return found
+        return messages
 
 
 @pytest.fixture

@@ -55,10 +55,10 @@ def refusal(servos: Any, register: Any, raw: int) -> int:
 
 def test_ping_tells_model_and_firmware_as_the_registers_do(servos: Any) -> None:
     for servo_id in servos.ids:
-        found = servos.bus.ping(servo_id)
-        assert found.model_number in {model.number for model in MODELS.values()}
-        assert found.model_number == servos.bus.read(servo_id, MODEL_NUMBER)
-        assert found.firmware == servos.bus.read(servo_id, FIRMWARE_VERSION)
+        answer = servos.bus.ping(servo_id)
+        assert answer.model_number in {model.number for model in MODELS.values()}
+        assert answer.model_number == servos.bus.read(servo_id, MODEL_NUMBER)
+        assert answer.firmware == servos.bus.read(servo_id, FIRMWARE_VERSION)
 
 
 def test_nobody_answers_for_an_absent_servo(servos: Any) -> None:
@@ -81,19 +81,19 @@ def test_a_sync_read_tells_what_single_reads_tell(servos: Any) -> None:
     with servos.restoring(PROFILE_ACCELERATION, PROFILE_VELOCITY):
         for servo_id in servos.ids:
             servos.bus.write(servo_id, PROFILE_VELOCITY, 100 + servo_id)
-        found = servos.bus.sync_read(
+        answer = servos.bus.sync_read(
             servos.ids, RegisterBlock(PROFILE_ACCELERATION, PROFILE_VELOCITY)
         )
-        assert list(found) == list(servos.ids)
+        assert list(answer) == list(servos.ids)
         for servo_id in servos.ids:
-            assert found[servo_id]["profile_velocity"] == 100 + servo_id
+            assert answer[servo_id]["profile_velocity"] == 100 + servo_id
 
 
 def test_present_values_are_plausible_at_rest(servos: Any) -> None:
-    found = servos.bus.sync_read(
+    answer = servos.bus.sync_read(
         servos.ids, RegisterBlock.between(PRESENT_CURRENT, PRESENT_POSITION)
     )
-    for values in found.values():
+    for values in answer.values():
         assert abs(values["present_current"]) < 20
         assert abs(values["present_velocity"]) < 5
 
@@ -227,9 +227,9 @@ def test_each_sync_gives_one_whole_frame(unit) -> None:
     for frame in frames:
         assert frame.counts.shape == (layout.n_taxels,)
         assert frame.counts.max() <= layout.adc_max
-    found = unit.link.statistics
-    assert len(frames) <= found.requests
-    counts = found.frames
+    statistics = unit.link.statistics
+    assert len(frames) <= statistics.requests
+    counts = statistics.frames
     assert (counts.lost, counts.torn, counts.short, counts.corrupt) == (0, 0, 0, 0)
 
 

@@ -762,15 +762,15 @@ def fast_approach(row: FaultRow) -> Observed:
 
 def random_configs(_row: FaultRow) -> Observed:
     """Grasp once with each of some configs that were drawn; the true force stays below the cap."""
-    found = [trial(seed) for seed in _SEARCHED]
-    broken = [one for one in found if one.broken]
+    trials = [trial(seed) for seed in _SEARCHED]
+    broken = [one for one in trials if one.broken]
     if broken:
         return Observed("ABOVE THE CAP", None, str(broken[0]))
-    gripped = [one for one in found if not one.refused]
+    gripped = [one for one in trials if not one.refused]
     highest = max(one.true_n / one.cap_n for one in gripped)
     return Observed(
         "NOTHING",
         None,
-        f"{len(gripped)} gripped, {len(found) - len(gripped)} were refused; the largest true force "
-        f"was {highest:.2f} of its cap",
+        f"{len(gripped)} gripped, {len(trials) - len(gripped)} were refused; "
+        f"the largest true force was {highest:.2f} of its cap",
     )

@@ -673,9 +673,9 @@ def test_an_error_without_a_type_and_a_command_without_an_end_are_found(cell: Dr
 def test_a_defect_is_reported_with_its_seed_and_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Driver, "wait", lambda self, _s: self.monitor.broken.append("so"))
     # What does not happen a second time is in a group.
-    with pytest.raises((InvariantBroken, ExceptionGroup)) as found:
+    with pytest.raises((InvariantBroken, ExceptionGroup)) as caught:
         run_machine(400, 1)
-    assert found.value.__notes__[-1] == "seed 1"
-    shown = "".join(traceback.format_exception(found.value))
-    assert "InvariantBroken: so" in shown
-    assert re.search(r"\n[ |]*after\n", shown)
+    assert caught.value.__notes__[-1] == "seed 1"
+    text = "".join(traceback.format_exception(caught.value))
+    assert "InvariantBroken: so" in text
+    assert re.search(r"\n[ |]*after\n", text)

@@ -189,10 +189,10 @@ def test_the_load_of_a_gearing_that_sticks_is_measured_with_its_losses(factors) 
     # Without a load up to four times the current of the catalogue is plausible.
     factors = (_CATALOGUE * factors[0], factors[1])
     settings = {"gearing": STICKING, "factors": factors, "current_max_a": 1.6}
-    found = Rig(part, 0.2, servos=None, seed=11, rate_hz=200.0, **settings).measure_servos()
+    measured = Rig(part, 0.2, servos=None, seed=11, rate_hz=200.0, **settings).measure_servos()
     true_drive = STICKING.drive_of(XM430_W350)
     law = true_drive.friction
     true_a_nm = (1.0 + law.load) / (1.0 - law.drive) / true_drive.kt_nm_a / factors[1]
-    for drive in found.values():
+    for drive in measured.values():
         assert drive.rising_a_nm == pytest.approx(true_a_nm, rel=0.15)
         assert abs(drive.rising_a_nm / true_a_nm - 1.0) <= 2.0 * drive.load_sd

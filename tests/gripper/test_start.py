@@ -61,8 +61,8 @@ def test_a_changed_eeprom_register_is_shown_expected_against_found(cell, name, r
         servo.registers.put(name, raw)
     with pytest.raises(VerificationFailed, match=rf"servo 2 {name}.*found {raw}") as bad:
         cell.gripper.start()
-    found = [(row.servo_id, row.item, row.actual) for row in bad.value.report.failed]
-    assert found == [(1, name, str(raw)), (2, name, str(raw))]
+    failed = [(row.servo_id, row.item, row.actual) for row in bad.value.report.failed]
+    assert failed == [(1, name, str(raw)), (2, name, str(raw))]
     assert cell.torques == [0, 0]
 
 

@@ -32,8 +32,8 @@ def first(pid: int) -> None:
 def child_of(pid: int) -> int:
     """Return the only child of a process; any of its threads may have started it."""
     threads = Path(f"/proc/{pid}/task").glob("*/children")
-    (found,) = (int(child) for one in threads for child in one.read_text("ascii").split())
-    return found
+    (children,) = (int(child) for one in threads for child in one.read_text("ascii").split())
+    return children
 
 
 def ended(pid: int) -> bool:

@@ -60,12 +60,12 @@ class Supervisor(threading.Thread):
                 state, parent = rest.rpartition(") ")[2].split()[:2]
                 if state != "Z":
                     children[int(parent)].append(int(pid))
-        found, look = [], [os.getpid()]
+        members, look = [], [os.getpid()]
         while look:
             known = getattr(self, "others", ())
             look = [pid for parent in look for pid in children[parent] if pid not in known]
-            found += look
-        return found
+            members += look
+        return members
 
     def kill(self, number: signal.Signals) -> None:
         """Send a signal to every process."""

@@ -140,10 +140,10 @@ def test_a_job_a_stop_and_the_release(make_cell, simulator) -> None:
     assert 5e-4 < loop["transaction_p50_s"] < 0.01
     assert 1e-3 < loop["sensor_age_max_s"] < 0.3
     assert loop["undelivered"] == 0
-    kept = read_recording(recording)
-    assert kept.complete
-    assert (len(kept.grasps), len(kept.statistics)) == (1, 3)
-    assert kept.statistics[-1]["cycles"] == loop["cycles"]
+    stored = read_recording(recording)
+    assert stored.complete
+    assert (len(stored.grasps), len(stored.statistics)) == (1, 3)
+    assert stored.statistics[-1]["cycles"] == loop["cycles"]
 
 
 def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(make_cell, simulator) -> None:

@@ -52,11 +52,11 @@ def service(
                "-c", simulator.config_path, "--model", taught.result.model)  # fmt: skip
     subprocess.run(install, input="n\nn\ny\n", text=True, check=True, stdout=subprocess.DEVNULL)
     unit = folder / "etc/systemd/system/tactile-cell.service"
-    found = Supervisor(unit, folder / "notify")
-    found.start()
-    until(lambda: "READY=1" in found.sent)
-    yield found
-    assert found.end(LIMIT_S) == 0
+    supervisor = Supervisor(unit, folder / "notify")
+    supervisor.start()
+    until(lambda: "READY=1" in supervisor.sent)
+    yield supervisor
+    assert supervisor.end(LIMIT_S) == 0
 
 
 @pytest.fixture(scope="module")

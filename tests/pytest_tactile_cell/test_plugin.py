@@ -487,18 +487,18 @@ def test_the_contract_holds_over_real_ports_and_never_touches_a_held_part(cell_p
             check=False,
         )
 
-    found = contract()
-    assert found.returncode == 0, found.stdout
-    assert " 26 passed, 9 skipped" in f" {found.stdout.strip().splitlines()[-1]}"
-    assert "needs torque: --allow-motion" in found.stdout
+    result = contract()
+    assert result.returncode == 0, result.stdout
+    assert " 26 passed, 9 skipped" in f" {result.stdout.strip().splitlines()[-1]}"
+    assert "needs torque: --allow-motion" in result.stdout
 
     stream = SerialStream(cell.servo_port, cell.servo_baud_rate)
     bus = ServoBus(stream, baudrate=cell.servo_baud_rate, clock=time)
     bus.write(2, TORQUE_ENABLE, 1)
     bus.close()
-    found = contract("-k", "hardware and read_back", "--allow-motion")
-    assert found.returncode == 1
-    assert "servo 2 holds torque, a part may be in the grip: nothing was written" in found.stdout
+    result = contract("-k", "hardware and read_back", "--allow-motion")
+    assert result.returncode == 1
+    assert "servo 2 holds torque, a part may be in the grip: nothing was written" in result.stdout
     stream = SerialStream(cell.servo_port, cell.servo_baud_rate)
     bus = ServoBus(stream, baudrate=cell.servo_baud_rate, clock=time)
     assert (bus.read(2, TORQUE_ENABLE), bus.read(1, LED)) == (1, 0)

@@ -51,13 +51,13 @@ def link() -> Iterator[TactileLink]:
 
 
 def frames(link: TactileLink, n: int) -> list[np.ndarray]:
-    found: list[np.ndarray] = []
+    received: list[np.ndarray] = []
     deadline_s = time.monotonic() + 60.0
-    while len(found) < n:
-        found += [frame.counts for frame in link.poll().frames]
-        assert time.monotonic() < deadline_s, f"{len(found)} of {n} frames came"
+    while len(received) < n:
+        received += [frame.counts for frame in link.poll().frames]
+        assert time.monotonic() < deadline_s, f"{len(received)} of {n} frames came"
         time.sleep(0.005)
-    return found
+    return received
 
 
 def test_whole_frames_and_the_same_by_sdo(link, unit) -> None:

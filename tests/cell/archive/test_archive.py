@@ -86,8 +86,8 @@ def test_a_row_leads_back_to_its_recording(archived) -> None:
     row = next(one for one in every(archived) if one["answer"])
     grasp = recording_grasps(row["recording"])[row["grasp"]]
     where = Selection(cells=frozenset({grasp.source.removeprefix("cell ")}))
-    (kept,) = (g for g in Archive(archived).grasps(where) if g.start_ms == row["start_ms"])
-    assert same_grasps([kept], [grasp], but=["label"])
+    (stored,) = (g for g in Archive(archived).grasps(where) if g.start_ms == row["start_ms"])
+    assert same_grasps([stored], [grasp], but=["label"])
     assert row["label"] == row["answer"]
     assert not row["taught"]
     assert dict(row["probabilities"]) == {"ball": 0.2, "box": 0.7, "pen": 0.1}

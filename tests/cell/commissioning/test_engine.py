@@ -280,5 +280,5 @@ def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path, m
 @pytest.mark.long
 def test_the_tutorial_shows_what_is_printed() -> None:
     """A cell of wrong hardware, from the box to the first force."""
-    _, shown = TRANSCRIPT.read_text("utf-8").split("\n", 1)
-    assert transcript().split() == shown.split()
+    _, stored = TRANSCRIPT.read_text("utf-8").split("\n", 1)
+    assert transcript().split() == stored.split()

@@ -137,13 +137,13 @@ def test_a_law_that_is_right_passes_and_changes_nothing(paper: MakeStand) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("felt", [0.8, LONG(1.25)])
-def test_a_law_that_is_off_is_named_and_set_right(paper: MakeStand, felt: float) -> None:
-    finding = paper(f"taxels.force_gain={felt}").run(LAW)
+@pytest.mark.parametrize("measured", [0.8, LONG(1.25)])
+def test_a_law_that_is_off_is_named_and_set_right(paper: MakeStand, measured: float) -> None:
+    finding = paper(f"taxels.force_gain={measured}").run(LAW)
     assert finding.status is Verdict.WARN
     assert "The law was 2" in finding.lines[-1]
     gain = finding.settings["tactile.calibration.gain"]
-    assert gain == pytest.approx(1.0 / felt, rel=0.06)
+    assert gain == pytest.approx(1.0 / measured, rel=0.06)
     assert finding.corrected == [finding.lines[-1]]
     assert f"tactile.calibration.gain was 1, is now {gain:.3g}" in finding.lines[-1]
 
@@ -212,8 +212,8 @@ def test_loads_that_bend_make_a_table() -> None:
     assert table.force_n(counts) == pytest.approx(TRUE.force_n(counts), rel=0.15)
     assert finding.values["table_residual_n"] < 0.1
     # The same loads under the table are right.
-    shown = [[(load[0], load[0], *load[2:]) for load in finger] for finger in loads]
-    judge_law(tactile, shown, again := Notes(), 255)
+    levers = [[(load[0], load[0], *load[2:]) for load in finger] for finger in loads]
+    judge_law(tactile, levers, again := Notes(), 255)
     assert not again.settings
 
 

@@ -21,7 +21,7 @@ USB0, USB1, ACM0 = "/dev/ttyUSB0", "/dev/ttyUSB1", "/dev/ttyACM0"
 
 
 @pytest.mark.parametrize(
-    ("ports", "pulled", "found", "named"),
+    ("ports", "pulled", "answer", "named"),
     [
         ((USB0,), (), USB0, "servo port: "),
         # The adapter comes back under another name.
@@ -31,7 +31,7 @@ USB0, USB1, ACM0 = "/dev/ttyUSB0", "/dev/ttyUSB1", "/dev/ttyACM0"
     ],
 )
 def test_the_port_is_the_only_one_or_found_by_pulling_its_plug(
-    tmp_path, ports, pulled, found, named
+    tmp_path, ports, pulled, answer, named
 ) -> None:
     lines = SimulatedLines(SimulatedCell(), ports)
 
@@ -43,8 +43,8 @@ def test_the_port_is_the_only_one_or_found_by_pulling_its_plug(
 
     script = Script({"ports.unplug": pull, "ports.plug_back": put_back})
     notes = carry_out(PORTS, Bench(tmp_path, lines), script)
-    assert notes.settings == ({"gripper.port": found} if found else {})
-    assert named + found in notes.lines[0]
+    assert notes.settings == ({"gripper.port": answer} if answer else {})
+    assert named + answer in notes.lines[0]
     assert script.asked == ["ports.unplug", "ports.plug_back"] * (len(ports) > 1)
 
 
@@ -148,8 +148,8 @@ def test_each_obstacle_at_a_port_is_named(
         (process / "comm").write_text("ModemManager\n")
         if "container" not in obstacle:
             (udev := machine / "run/udev/data").mkdir(parents=True)
-            kept = "E:ID_MM_DEVICE_IGNORE=1" if "kept" in obstacle else ""
-            (udev / "c189:1-1").write_text(f"E:ID_BUS=usb\n{kept}\n")
+            ignored = "E:ID_MM_DEVICE_IGNORE=1" if "kept" in obstacle else ""
+            (udev / "c189:1-1").write_text(f"E:ID_BUS=usb\n{ignored}\n")
     findings = [*check_port("key", str(port))]
     bad = [one for one in findings if one.verdict is not Verdict.PASS]
     assert [(one.what, one.verdict) for one in bad] == [(what, verdict)] * bool(text)

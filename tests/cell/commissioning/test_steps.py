@@ -66,9 +66,9 @@ def test_factory_new_servos_are_numbered_one_at_a_time(new, tmp_path) -> None:
         "return_delay_time": [0, 0],
     }.items():
         assert new.registers(name) == values, name
-    shown = {(w.what, w.before, w.after) for w in script.writes}
-    assert ("id (7)", "1", "2") in shown
-    assert ("baud_rate (8)", "57600 bit/s", "1000000 bit/s") in shown
+    writes = {(w.what, w.before, w.after) for w in script.writes}
+    assert ("id (7)", "1", "2") in writes
+    assert ("baud_rate (8)", "57600 bit/s", "1000000 bit/s") in writes
     for number in (1, 2):
         backup = json.loads((tmp_path / f"backup-servo{number}.json").read_text())
         assert (backup["registers"]["id"], backup["registers"]["baud_rate"]) == (1, 1)
@@ -76,7 +76,7 @@ def test_factory_new_servos_are_numbered_one_at_a_time(new, tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "values", "wanted", "shown"),
+    ("name", "values", "wanted", "text"),
     [
         # Servos that confirm no write, or not each.
         ("status_return_level", (0, 0), [2, 2], ("servo 2", "status_return_level (68)", "0", "2")),
@@ -91,15 +91,15 @@ def test_factory_new_servos_are_numbered_one_at_a_time(new, tmp_path) -> None:
     ],
 )
 def test_wrong_registers_are_shown_then_set_and_read_back(
-    stand, name, values, wanted, shown
+    stand, name, values, wanted, text
 ) -> None:
     for servo, value in zip(stand.cell.devices.servo_bus.servos, values, strict=True):
         servo.registers.put(name, value)
     stand.passes(SERVOS)
     assert stand.registers(name) == wanted
     rows = [(w.where, w.what, w.before, w.after) for w in stand.person.script.writes]
-    assert shown in rows
-    assert [what for _, what, *_ in rows].count(shown[1]) == len(values) - values.count(wanted[0])
+    assert text in rows
+    assert [what for _, what, *_ in rows].count(text[1]) == len(values) - values.count(wanted[0])
 
 
 @pytest.mark.parametrize("rate", [1, 3])
@@ -124,8 +124,8 @@ def test_restore_brings_back_all_but_the_address(new, tmp_path) -> None:
     assert [data[:7] + data[9:] for data in eeproms(new)] == [d[:7] + d[9:] for d in before]
     assert (new.registers("id"), new.registers("baud_rate")) == ([1, 2], [3, 3])
     assert len(lines) == 2
-    shown = {(w.what, w.before, w.after) for w in script.writes}
-    assert ("return_delay_time (9)", "0", "250") in shown
+    writes = {(w.what, w.before, w.after) for w in script.writes}
+    assert ("return_delay_time (9)", "0", "250") in writes
     # Restored servos are left alone, and are brought up again from there.
     assert restore(new.bench, Script(), PORT) == ("all servos are as they were found",)
     new.passes(SERVOS)
@@ -202,9 +202,9 @@ def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(grasped) -> N
 def kept_drives(stand: Stand) -> list[DriveCharacteristic]:
     """Return what is kept of both servos for the cell."""
     config = stand.bench.config
-    kept = kept_zeros(config, stand.bench.folder / config.recording.directory, new_hand=False)
-    assert len(kept.drives) == 2
-    return list(kept.kept_drives(dict.fromkeys(kept.drives, 0)).values())
+    stored = kept_zeros(config, stand.bench.folder / config.recording.directory, new_hand=False)
+    assert len(stored.drives) == 2
+    return list(stored.kept_drives(dict.fromkeys(stored.drives, 0)).values())
 
 
 @pytest.mark.slow
@@ -225,8 +225,8 @@ def test_the_self_test_of_the_watchdog_closes_no_further_than_was_shown(quiet, w
     )
     with pytest.raises(WizardAborted):
         quiet.run(FIRST_FORCE, leave_at=["first_force.part"])
-    shown = re.fullmatch(r"at most (\S+) mm less.*", quiet.person.script.writes[1].after)
-    assert 0.0142 - min(opened_m) < 1e-3 * float(shown[1]) < 0.01
+    announced = re.fullmatch(r"at most (\S+) mm less.*", quiet.person.script.writes[1].after)
+    assert 0.0142 - min(opened_m) < 1e-3 * float(announced[1]) < 0.01
 
 
 @pytest.mark.long

@@ -142,7 +142,7 @@ def test_a_part_that_sinks_into_the_foam_is_held_with_what_it_bears(
 def test_the_recording_holds_what_happened(make_bench: MakeBench, tmp_path: Path) -> None:
     bench = make_bench(folder=tmp_path).ready()
 
-    found = bench.controller.identify(
+    answer = bench.controller.identify(
         Scripted(SURE),
         [GraspStep(pose=Pose(), force_n=3.0)],
         read_shape=shape_reader(bench.config),
@@ -152,7 +152,7 @@ def test_the_recording_holds_what_happened(make_bench: MakeBench, tmp_path: Path
     recording = read_recording(tmp_path / "recording.mcap")
     (result,) = recording.results
     assert result["label"] == "ball"
-    assert result["shape"]["size_m"] == pytest.approx(found.shape.size_m, abs=1e-6)
+    assert result["shape"]["size_m"] == pytest.approx(answer.shape.size_m, abs=1e-6)
     assert [one["kind"] for one in result["grasp_shapes"]] == ["sphere"]
     texts = [event["text"] for event in recording.events if event["kind"] == "callback"]
     assert texts == ["after grasp 1: unexpected error (RuntimeError): window closed"]
@@ -519,33 +519,33 @@ def identified(
 @pytest.mark.slow
 def test_identifying_ends_as_soon_as_it_is_sure_or_with_its_plan(record: GraspRecord) -> None:
     told: list[int] = []
-    found = identified(record, n_steps=5, on_grasp=lambda number, *_told: told.append(number))
-    assert (found.label, found.decision.kind) == ("ball", DecisionKind.DECIDED)
+    answer = identified(record, n_steps=5, on_grasp=lambda number, *_told: told.append(number))
+    assert (answer.label, answer.decision.kind) == ("ball", DecisionKind.DECIDED)
     assert told == [1, 2]
-    assert len(found.records) == len(found.posteriors) == 2
-    certain = found.decision.probability
-    assert certain == pytest.approx(float(found.fused.probability.max()), abs=1e-6)
+    assert len(answer.records) == len(answer.posteriors) == 2
+    certain = answer.decision.probability
+    assert certain == pytest.approx(float(answer.fused.probability.max()), abs=1e-6)
     assert certain > 0.98
-    found = identified(record, UNSURE)
-    assert len(found.records) == 2
-    assert found.decision.kind is not DecisionKind.CONTINUE
+    answer = identified(record, UNSURE)
+    assert len(answer.records) == 2
+    assert answer.decision.kind is not DecisionKind.CONTINUE
 
 
 @pytest.mark.slow
 def test_shape_and_size_are_fused_over_the_grasps(record: GraspRecord) -> None:
     told: list[Any] = []
-    found = identified(
+    answer = identified(
         record,
         read_shape=shape_reader(small_config()),
         on_grasp=lambda *parts: told.append(parts[3]),
     )
-    assert tuple(told) == found.shapes
-    assert found.shape is not None
-    assert len(found.shapes) == found.shape.n_grasps == 2
-    assert {one.kind for one in told} == {found.shape.kind}
-    assert found.shape.kind in ("sphere", "oval")  # one ball in forty is felt as an oval
-    assert found.shape.low_m < 9.5e-3 < found.shape.high_m
-    assert f"{found.shape.kind} of {1e3 * found.shape.size_m:.1f} mm" in in_words(found.shape)
+    assert tuple(told) == answer.shapes
+    assert answer.shape is not None
+    assert len(answer.shapes) == answer.shape.n_grasps == 2
+    assert {one.kind for one in told} == {answer.shape.kind}
+    assert answer.shape.kind in ("sphere", "oval")  # one ball in forty is felt as an oval
+    assert answer.shape.low_m < 9.5e-3 < answer.shape.high_m
+    assert f"{answer.shape.kind} of {1e3 * answer.shape.size_m:.1f} mm" in in_words(answer.shape)
 
 
 @pytest.mark.slow
@@ -560,24 +560,26 @@ def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(record: GraspRecor
             "shape of all grasps: unexpected error (ValueError): a fused shape",
         ),
     ):
-        found = identified(record, **options)
-        assert (found.label, found.shape, len(found.posteriors)) == ("ball", None, 2)
-        assert found.complaints[0].startswith(complaint)
+        answer = identified(record, **options)
+        assert (answer.label, answer.shape, len(answer.posteriors)) == ("ball", None, 2)
+        assert answer.complaints[0].startswith(complaint)
     assert identified(record, read_shape=lambda _grasp: None).shapes == (None, None)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("drawn_m", "label"), [((4e-3,), UNKNOWN), ((4e-3, 9.5e-3), "ball")])
-def test_a_felt_size_far_from_the_drawn_ones_is_of_no_taught_object(record, drawn_m, label) -> None:
+def test_a_measured_size_far_from_the_drawn_ones_is_of_no_taught_object(
+    record, drawn_m, label
+) -> None:
     told: list[Posterior] = []
-    found = identified(
+    answer = identified(
         record,
         drawn_m=drawn_m,
         read_shape=shape_reader(small_config()),
         on_grasp=lambda *parts: told.append(parts[2]),
     )
-    assert found.label == found.fused.name == label
-    assert tuple(told) == found.posteriors
+    assert answer.label == answer.fused.name == label
+    assert tuple(told) == answer.posteriors
 
 
 def test_a_config_may_want_no_shapes() -> None:

@@ -61,18 +61,18 @@ def test_what_is_shown_of_a_carried_part_is_what_its_supervision_measures(make_b
     assert live.force_n == pytest.approx(0.0, abs=0.1)
     assert live.opening_mm == pytest.approx(12.0, abs=0.1)
     identify(bench, Scripted(SURE), Keep.ALWAYS)
-    shown, true_n = [], []
+    shown_n, true_n = [], []
     for _ in range(100):
         bench.idle(0.01)
         live = bench.controller.live
-        shown.append(live.force_n)
+        shown_n.append(live.force_n)
         true_n.append(bench.grip_n)
         # The noise of one sample is 0.26 N.
         assert (live.force_n, live.setpoint_n) == (pytest.approx(bench.grip_n, abs=1.3), CARRY_N)
         assert live.force_age_s <= 0.01
         assert live.frame_age_s <= 0.05
-    assert np.mean(shown) == pytest.approx(np.mean(true_n), abs=0.1)
-    assert len(set(shown)) > 80  # of 100: no stale value
+    assert np.mean(shown_n) == pytest.approx(np.mean(true_n), abs=0.1)
+    assert len(set(shown_n)) > 80  # of 100: no stale value
     counts = live.counts
     bench.idle(0.05)
     assert np.any(bench.controller.live.counts != counts)
@@ -95,13 +95,13 @@ def test_what_is_not_measured_is_not_shown_and_its_age_grows(bench: Any) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("keep", "kept"), [(Keep.WHEN_NAMED, False), (Keep.ALWAYS, True)])
-def test_an_unknown_part_is_let_go_unless_all_are_kept(bench: Any, keep: Keep, kept: bool) -> None:
-    found = identify(bench, Scripted(STRANGE), keep)
-    assert found.label == UNKNOWN
-    assert found.in_grip is kept
-    assert (bench.grip_n > 0.0) is kept
-    assert bench.life.state is (CellState.COMPLETE if kept else CellState.IDLE)
+@pytest.mark.parametrize(("keep", "held"), [(Keep.WHEN_NAMED, False), (Keep.ALWAYS, True)])
+def test_an_unknown_part_is_let_go_unless_all_are_kept(bench: Any, keep: Keep, held: bool) -> None:
+    answer = identify(bench, Scripted(STRANGE), keep)
+    assert answer.label == UNKNOWN
+    assert answer.in_grip is held
+    assert (bench.grip_n > 0.0) is held
+    assert bench.life.state is (CellState.COMPLETE if held else CellState.IDLE)
 
 
 @pytest.mark.slow
@@ -121,9 +121,9 @@ def test_a_lost_recording_that_is_a_fault_of_grasps_does_not_keep_a_part(
 @pytest.mark.parametrize("keep", Keep)
 def test_the_part_is_held_while_it_is_named_where_it_may_be_kept(bench: Any, keep: Keep) -> None:
     recognizer = Scripted(UNSURE, SURE, look=lambda: bench.grip_n)
-    found = identify(bench, recognizer, keep, STEPS)
-    assert len(found.records) == 2
-    assert [record.reached.x_m for record in found.records] == pytest.approx([0.0, 1e-3])
+    answer = identify(bench, recognizer, keep, STEPS)
+    assert len(answer.records) == 2
+    assert [record.reached.x_m for record in answer.records] == pytest.approx([0.0, 1e-3])
     wanted_n = 0.0 if keep is Keep.NEVER else CARRY_N
     assert recognizer.seen == pytest.approx([wanted_n, wanted_n], abs=TOLERANCE_N)
 
@@ -146,10 +146,10 @@ def test_a_hand_in_a_process_of_its_own_moves_on_while_the_answer_is_computed(
     monkeypatch.setattr(LocalHand, "own_process", True)
     reached = until(bench, lambda: bench.controller.hand.phase is phase)
     recognizer = Scripted(SURE, look=reached)
-    found = identify(bench, recognizer, keep)
+    answer = identify(bench, recognizer, keep)
     assert recognizer.seen == [True]
-    assert (found.label, found.in_grip) == ("ball", keep is Keep.ALWAYS)
-    assert (bench.grip_n > 1.0) is found.in_grip
+    assert (answer.label, answer.in_grip) == ("ball", keep is Keep.ALWAYS)
+    assert (bench.grip_n > 1.0) is answer.in_grip
 
 
 @pytest.mark.slow
@@ -191,12 +191,12 @@ def test_without_a_fixture_further_ramps_are_taken_in_the_same_grip(make_bench) 
             held_n.append(bench.grip_n)
 
     bench.clock.on_advance.append(look)
-    found = bench.controller.identify(recognizer, STEPS)
-    assert [record.same_grip for record in found.records] == [False, True, True]
-    assert len({record.reached for record in found.records}) == 1
-    assert [round(record.outcome.final_force_n) for record in found.records] == [6, 3, 5]
+    answer = bench.controller.identify(recognizer, STEPS)
+    assert [record.same_grip for record in answer.records] == [False, True, True]
+    assert len({record.reached for record in answer.records}) == 1
+    assert [round(record.outcome.final_force_n) for record in answer.records] == [6, 3, 5]
     assert min(held_n) > 0.5
-    assert found.posteriors[1].dependence > found.posteriors[0].dependence
+    assert answer.posteriors[1].dependence > answer.posteriors[0].dependence
     assert (bench.life.state, bench.grip_n) == (CellState.IDLE, 0.0)
 
 

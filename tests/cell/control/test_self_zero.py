@@ -52,17 +52,17 @@ def test_what_is_measured_is_what_the_hand_is(make_bench) -> None:
     ).ready()
     for bench in (plain, there):
         bench.simulated.remove()
-    here, found = plain.controller.zeroing.measure().zero, there.controller.zeroing.measure().zero
+    here, other = plain.controller.zeroing.measure().zero, there.controller.zeroing.measure().zero
     assert here.opening_m * 1e3 == pytest.approx(0.0, abs=0.15)
-    assert found.opening_m * 1e3 == pytest.approx(21 * PULSE_MM, abs=0.15)
-    assert math.exp(found.log_gain_ratio) == pytest.approx(1.1 / 0.9, rel=0.06)
+    assert other.opening_m * 1e3 == pytest.approx(21 * PULSE_MM, abs=0.15)
+    assert math.exp(other.log_gain_ratio) == pytest.approx(1.1 / 0.9, rel=0.06)
     # Both gains are 0.995 in the mean: counts for each A are as before.
-    assert found.log_scale - here.log_scale == pytest.approx(math.log(0.995), abs=0.12)
+    assert other.log_scale - here.log_scale == pytest.approx(math.log(0.995), abs=0.12)
     assert there.controller.life.state is CellState.IDLE
     assert not there.controller.life.holding
     there.controller.moves.present("ball")
     step = GraspStep(pose=Pose(), force_n=6.0)
-    assert there.controller.grasp(step).grasp.zero == found
+    assert there.controller.grasp(step).grasp.zero == other
 
 
 @pytest.mark.slow
@@ -207,7 +207,7 @@ def test_what_is_out_of_bounds_is_named(make_bench, changes, says) -> None:
 @pytest.mark.parametrize(("when", "times"), [("always", 2), ("daily", 2), ("on_demand", 0)])
 def test_it_is_measured_at_a_start_where_it_is_due(make_bench, tmp_path, when, times) -> None:
     config = small_config(self_zero=when)
-    kept = zero_file(tmp_path, config.name)
+    file = zero_file(tmp_path, config.name)
     seen: list[Any] = []
     for job in ("first", "second"):
         (tmp_path / job).mkdir()
@@ -217,7 +217,7 @@ def test_it_is_measured_at_a_start_where_it_is_due(make_bench, tmp_path, when, t
         seen.append((before, bench.controller.zeros.newest))
     measured = sum(after is not None and after is not before for before, after in seen)
     assert measured == times
-    assert kept.exists() == (times > 0)
+    assert file.exists() == (times > 0)
     if times:
         assert seen[1][0] == seen[0][1]
 
@@ -241,9 +241,9 @@ def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path
     goal = checked_goal({"task": "zero"})
     assert isinstance(goal, ZeroGoal)
     file: Any = SimpleNamespace(model=None)
-    found = tasks.Tasks(bench.controller, file).zero(goal, reports.append)
-    assert reports[-1]["zero"] == asdict(found) | {"moved_mm": None}
-    assert bench.controller.zeros.newest == found
+    result = tasks.Tasks(bench.controller, file).zero(goal, reports.append)
+    assert reports[-1]["zero"] == asdict(result) | {"moved_mm": None}
+    assert bench.controller.zeros.newest == result
 
 
 @pytest.mark.slow
@@ -252,11 +252,11 @@ def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(monkeypatch,
     monkeypatch.chdir(tmp_path)
     call("teach", "ball", "-n", 2, "-o", "taught.npz")
     zeros = {grasp.zero for grasp in read_grasps(Path("taught.npz"))}
-    kept = kept_zeros(CellConfig(), tmp_path / "out")
-    assert zeros == {kept.newest}
-    assert kept.newest is not None
+    stored = kept_zeros(CellConfig(), tmp_path / "out")
+    assert zeros == {stored.newest}
+    assert stored.newest is not None
     # A simulated hand is new in each program, a real one is not.
-    assert kept.due
+    assert stored.due
     there = changed_config(CellConfig(), REAL | {"self_zero": "daily"})
     assert kept_zeros(there, tmp_path).due
     kept_zeros(there, tmp_path).keep(ZERO)
@@ -286,8 +286,8 @@ ZERO = SelfZero.from_values([1e-3, 1e-4, 0.1, 0.02, 8.0, 0.05, 8.0, 0.2])
 
 @pytest.mark.parametrize("values", [{}, {"measured_s": "x"}, {"measured_s": 1e300}, {"hand": 3}])
 def test_a_whole_file_of_other_values_counts_as_none(tmp_path, values) -> None:
-    kept = {"measured_s": 1.8e9, "hand": {}} | (asdict(ZERO) if values else {}) | values
-    write_json(tmp_path / "zero.json", SELF_ZERO, kept, error=CellError)
+    stored = {"measured_s": 1.8e9, "hand": {}} | (asdict(ZERO) if values else {}) | values
+    write_json(tmp_path / "zero.json", SELF_ZERO, stored, error=CellError)
     zeros = SelfZeros("daily", path=tmp_path / "zero.json")
     assert zeros.newest is None
     assert "has no self-zero; `tactile-cell hand zero`" in zeros.refused
@@ -331,10 +331,10 @@ def test_a_zero_of_another_control_unit_counts_as_none(make_bench, tmp_path: Pat
     begun("first").controller.zeroing.measure()
     same = begun("same")
     assert (same.controller.zeros.newest is None, same.controller.zeroing.note) == (False, "")
-    kept = json.loads(zero_file(tmp_path, config.name).read_text())
-    del kept["format"], kept["sha256"]
-    kept["hand"]["unit.boards"] = [1, 9]
-    write_json(zero_file(tmp_path, config.name), SELF_ZERO, kept, error=CellError)
+    stored = json.loads(zero_file(tmp_path, config.name).read_text())
+    del stored["format"], stored["sha256"]
+    stored["hand"]["unit.boards"] = [1, 9]
+    write_json(zero_file(tmp_path, config.name), SELF_ZERO, stored, error=CellError)
     other = begun("other")
     assert other.controller.zeros.newest is None
     assert "with other unit.boards." in other.controller.zeroing.note
@@ -405,12 +405,12 @@ def test_drives_are_kept_with_their_servo_and_without_a_zero_too(tmp_path: Path)
     later = kept_zeros(here, tmp_path)
     assert later.newest is None
     assert not later.refused
-    found = later.kept_drives(homing)
-    assert set(found) == {1}
+    drives = later.kept_drives(homing)
+    assert set(drives) == {1}
     # Friction is another one on another day; the rest is as it was measured.
-    assert found[1].friction_sd > DRIVE.friction_sd
-    assert replace(found[1], friction_sd=0.05, measured_s=0.0) == DRIVE
-    assert found[1].measured_s == pytest.approx(time.time(), abs=60.0)
+    assert drives[1].friction_sd > DRIVE.friction_sd
+    assert replace(drives[1], friction_sd=0.05, measured_s=0.0) == DRIVE
+    assert drives[1].measured_s == pytest.approx(time.time(), abs=60.0)
     assert not later.kept_drives({1: 1024, 2: 0}), "another homing offset"
     for change in (
         {"gripper.port": "/dev/ttyUSB1"},

@@ -273,15 +273,15 @@ def life_of(state: CellState, phase: GripperPhase, **hand: Any) -> CellLifecycle
 
 
 @pytest.mark.parametrize(
-    ("phase", "state", "kept"),
+    ("phase", "state", "held"),
     [(GripperPhase.IDLE, CellState.IDLE, []), (GripperPhase.HOLDING, CellState.ABORTED, ["kept"])],
 )
-def test_a_pose_that_is_not_reached_is_a_fault_beside_a_part_alone(phase, state, kept) -> None:
+def test_a_pose_that_is_not_reached_is_a_fault_beside_a_part_alone(phase, state, held) -> None:
     calls: list[str] = []
     life = life_of(CellState.EXECUTE, phase, keep_grip=lambda: calls.append("kept"))
     with pytest.raises(PositionerError), life.latching_faults():
         raise PositionerError("the arm stands")
-    assert (life.state, calls, life.faults.total()) == (state, kept, len(kept))
+    assert (life.state, calls, life.faults.total()) == (state, held, len(held))
 
 
 def test_a_grip_that_cannot_be_confirmed_does_not_hide_the_fault() -> None:

@@ -165,10 +165,10 @@ def test_what_the_process_measures_is_shown_in_a_motion_and_between_two(loop, ha
     assert hand.latest.cycle == moved.cycle
     frame = TactileFrame(counter=1, status=0, t_s=2.0, counts=np.zeros(4, dtype=np.uint16))
     force = ForceSample(t_s=2.0, force_n=(3.0, 3.1))
-    shown = LatestValues(cycle=moved.cycle, force=force, frame=frame)
-    loop.coming.append(LiveUpdate(latest=shown))
+    latest = LatestValues(cycle=moved.cycle, force=force, frame=frame)
+    loop.coming.append(LiveUpdate(latest=latest))
     hand.tick()
-    assert hand.latest == shown
+    assert hand.latest == latest
     assert not hand.latest.frame.counts.flags.writeable
     # A sample that must not be used does not take the place of the last good one.
     spoilt = replace(moved.cycle, force=replace(force, t_s=3.0, valid=False))
@@ -575,15 +575,15 @@ class Line:
         return self.events()
 
     def events(self) -> list[Any]:
-        found = []
+        received = []
         while self.near.poll(0.0):
             try:
-                found.append(self.near.recv())
+                received.append(self.near.recv())
             except EOFError:
                 break
             self.outbox.flush()
-        self.alive = sum(isinstance(event, LiveUpdate) for event in found)
-        return [event for event in found if not isinstance(event, LiveUpdate)]
+        self.alive = sum(isinstance(event, LiveUpdate) for event in received)
+        return [event for event in received if not isinstance(event, LiveUpdate)]
 
     def close(self) -> None:
         self.near.close()

@@ -43,8 +43,8 @@ class Plc:
 
     def write(self, address: int, *values: int) -> int:
         """Write registers and return the exception code; 0 for none."""
-        found = self.link.write_registers(address, list(values))
-        return found.exception_code if found.isError() else 0
+        answer = self.link.write_registers(address, list(values))
+        return answer.exception_code if answer.isError() else 0
 
     def live(self) -> int:
         self.life = (self.life + 1) & 0xFFFF
@@ -73,10 +73,10 @@ _PART = ("Number", "LabelId", "Probability", "Size", "Place")
 
 def _texts(part: list[int]) -> dict[str, str]:
     """Return the names of label and place in the registers of a part."""
-    found = struct.pack(">32H", *part[8:])
+    data = struct.pack(">32H", *part[8:])
     return {
-        "Label": found[:32].rstrip(b"\0").decode("ascii"),
-        "PlaceName": found[32:].rstrip(b"\0").decode("ascii"),
+        "Label": data[:32].rstrip(b"\0").decode("ascii"),
+        "PlaceName": data[32:].rstrip(b"\0").decode("ascii"),
     }
 
 
@@ -140,9 +140,9 @@ class Client:
             headers["Authorization"] = f"Bearer {token or self.token}"
         link.request(method, path, data, headers)
         answer = link.getresponse()
-        found, kind = answer.read(), answer.getheader("Content-Type", "")
+        body, kind = answer.read(), answer.getheader("Content-Type", "")
         link.close()
-        return answer.status, json.loads(found) if "json" in kind else found, kind
+        return answer.status, json.loads(body) if "json" in kind else body, kind
 
     def ask(self, method: str, path: str, body: Any = None, **more: Any) -> tuple[int, Any]:
         """Return status and answer to a request with JSON."""
@@ -150,14 +150,14 @@ class Client:
         return self.send(method, path, data, **{"Content-Type": "application/json"} | more)[:2]
 
     def get(self, path: str) -> Any:
-        status, found = self.ask("GET", path)
-        assert status == 200, found
-        return found
+        status, answer = self.ask("GET", path)
+        assert status == 200, answer
+        return answer
 
     def post(self, path: str, **body: Any) -> Any:
-        status, found = self.ask("POST", path, body)
-        assert status == 200, found
-        return found
+        status, answer = self.ask("POST", path, body)
+        assert status == 200, answer
+        return answer
 
     def live(self, query: str = "", **options: Any) -> Any:
         return open_socket(
@@ -285,18 +285,18 @@ class ModbusHost:
         """Answer a pose; return 0, or a fault number, negative."""
         return min(0, self._run(40 if ok else 41, seq))
 
-    def shown(self) -> dict[str, Any]:
+    def values(self) -> dict[str, Any]:
         """Return what the interface shows, by the names of `SHOWN`; None: not measured."""
         inputs = self._plc.inputs() + self._plc.part()
-        found: dict[str, Any] = {"fault": inputs[7] if inputs[2] & 32 else 0}
+        values: dict[str, Any] = {"fault": inputs[7] if inputs[2] & 32 else 0}
         for name, place in SHOWN.items():
             register, _, bit = place.register.partition(".")
             if bit:
-                found[name] = bool(inputs[int(register)] >> int(bit) & 1)
+                values[name] = bool(inputs[int(register)] >> int(bit) & 1)
             elif register:
                 measured = inputs[int(register)] not in (0x7FFF, 0x8000)
-                found[name] = inputs[int(register)] * place.unit if measured else None
-        return found
+                values[name] = inputs[int(register)] * place.unit if measured else None
+        return values
 
     def refusal(self) -> tuple[int, str]:
         """Return number and text of the last refusal."""
@@ -321,9 +321,9 @@ class XmlRpcHost:
         return getattr(self._cell, method)(*arguments)
 
     def acquire(self) -> int:
-        found = int(self.call("acquire", "host"))
-        self.lease = found if found > 0 else self.lease
-        return max(0, -found)
+        lease = int(self.call("acquire", "host"))
+        self.lease = lease if lease > 0 else self.lease
+        return max(0, -lease)
 
     def send(self, request: Request, number: int) -> int:
         arguments: dict[str, tuple[Any, ...]] = {
@@ -346,15 +346,15 @@ class XmlRpcHost:
     def reached(self, seq: int, *, ok: bool) -> int:
         return int(self.call("pose_reached", self.lease, seq, ok))
 
-    def shown(self) -> dict[str, Any]:
-        found: dict[str, Any] = {"job": self._cell.next_job() - 1}
+    def values(self) -> dict[str, Any]:
+        values: dict[str, Any] = {"job": self._cell.next_job() - 1}
         for name, place in SHOWN.items():
             method, _, of = place.method.partition(" ")
-            numbers = [found[of] if of == "job" else self.call(of)] if of else []
+            numbers = [values[of] if of == "job" else self.call(of)] if of else []
             if method and all(numbers):
                 value = self.call(method, *numbers)
-                found[name] = None if value == -516 else value
-        return found
+                values[name] = None if value == -516 else value
+        return values
 
     def refusal(self) -> tuple[int, str]:
         number, _, text = self._cell.last_refusal().partition(": ")
@@ -377,12 +377,12 @@ class HttpHost:
 
     def _post(self, path: str, **body: Any) -> int:
         """Return 0 or the number of the job; of a refusal its number, negative."""
-        _, found = self._host.ask("POST", path, body)
-        if "fault_number" in found:
-            self._refusal = found["fault_number"], f"{found['error']} {found['remedy']}"
-            return -int(found["fault_number"])
-        self.lease = found.get("lease", self.lease)
-        return int(found.get("job", 0))
+        _, answer = self._host.ask("POST", path, body)
+        if "fault_number" in answer:
+            self._refusal = answer["fault_number"], f"{answer['error']} {answer['remedy']}"
+            return -int(answer["fault_number"])
+        self.lease = answer.get("lease", self.lease)
+        return int(answer.get("job", 0))
 
     def acquire(self) -> int:
         return -self._post("/api/lease", name="host")
@@ -416,17 +416,17 @@ class HttpHost:
     def reached(self, seq: int, *, ok: bool) -> int:
         return self._post("/api/pose", lease=self.lease, seq=seq, ok=ok)
 
-    def shown(self) -> dict[str, Any]:
+    def values(self) -> dict[str, Any]:
         state = self._host.get("/api/state")
         state["part"] = next(iter(state["shift"]["answers"][-1:]), None)
-        found = {}
+        values = {}
         for name, place in SHOWN.items():
             if place.path:
                 value: Any = state
                 for key in place.path.split("."):
                     value = None if value is None else value[key]
-                found[name] = value
-        return found
+                values[name] = value
+        return values
 
     def refusal(self) -> tuple[int, str]:
         return self._refusal
@@ -489,8 +489,8 @@ _PYTHON = (
     (r"<>", "!="),
     (r":=", "="),
     (r";", ""),
-    (r"\b(AND|OR|NOT)\b", lambda found: found[1].lower()),
-    (r"\b(TRUE|FALSE)\b", lambda found: found[1].title()),
+    (r"\b(AND|OR|NOT)\b", lambda match: match[1].lower()),
+    (r"\b(TRUE|FALSE)\b", lambda match: match[1].title()),
 )
 """Expressions of Structured Text, in this order, and what they are in Python.
 
@@ -521,8 +521,8 @@ class FunctionBlock:
             text = re.sub(expression, python, text, flags=re.MULTILINE)
         self._code = compile(re.sub(r"[A-Z][\w.]*", self._variable, text), str(BLOCK), "exec")
 
-    def _variable(self, found: re.Match[str]) -> str:
-        return f"me[{found[0]!r}]" if found[0] in self.values else found[0]
+    def _variable(self, match: re.Match[str]) -> str:
+        return f"me[{match[0]!r}]" if match[0] in self.values else match[0]
 
     def __getitem__(self, name: str) -> Any:
         return self.values[name]

@@ -361,10 +361,10 @@ def test_a_terminal_obeys_no_text_of_a_file(tmp_path, capsys, monkeypatch) -> No
         load_config(config)
     for print_one in (print_line, print_error, print_note, print_cell):
         print_one(f"{caught.value}\r[bold] \u202e\x9b")
-    shown = "".join(capsys.readouterr())
-    assert shown.count("\\x1b[2Jkey: unknown key") == 4
-    assert shown.count("\\r[bold] \\u202e\\x9b") == 4
-    assert not set("\x1b\r\u202e\x9b") & set(shown)
+    text = "".join(capsys.readouterr())
+    assert text.count("\\x1b[2Jkey: unknown key") == 4
+    assert text.count("\\r[bold] \\u202e\\x9b") == 4
+    assert not set("\x1b\r\u202e\x9b") & set(text)
     monkeypatch.setattr("builtins.input", str)
     assert ask("place \x1b[2J") == "place \\x1b[2J"
 
@@ -407,9 +407,9 @@ def test_commands_use_the_model_that_was_trained_last_in_the_folder(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     call("model", "train", dataset, "-o", "m.npz")
-    shown = RUNNER.invoke(app, ["identify", str(dataset), "-c", str(config)])
-    assert "the model is m.npz of the last `model train` here" in shown.stderr
-    assert "grasp    9: " in shown.stdout
+    result = RUNNER.invoke(app, ["identify", str(dataset), "-c", str(config)])
+    assert "the model is m.npz of the last `model train` here" in result.stderr
+    assert "grasp    9: " in result.stdout
     Path("m.npz").write_bytes(b"")
     for command in ("identify", "sort", "serve --http 0", "model calibrate --gauge ball -o c.npz"):
         assert "m.npz" in fail(*command.split(), "-c", config)
@@ -431,9 +431,9 @@ def test_evaluate_prints_what_is_taken_for_which_object_and_what_is_left_out(
     result = RUNNER.invoke(app, [str(one) for one in command], catch_exceptions=False)
     said = " ".join(result.output.split())
     assert "level_check is left out: no object has a level" in said
-    found = read_json(tmp_path / "e.json")
-    assert (list(found["left_out"]), found["labels"]) == (["level_check"], ["ball", "box"])
-    figures = found["recognizers"]["force_ramp"]
+    written = read_json(tmp_path / "e.json")
+    assert (list(written["left_out"]), written["labels"]) == (["level_check"], ["ball", "box"])
+    figures = written["recognizers"]["force_ramp"]
     low, high = figures["interval"]
     assert low <= figures["single_accuracy"] < high
     assert set(figures["fused_accuracy"]) == {"1", "2"}
@@ -472,13 +472,13 @@ def test_examples_are_the_configs_of_the_repository(tmp_path, fail) -> None:
 
 
 def test_doctor_passes_and_fails(tmp_path, config, fail, monkeypatch) -> None:
-    found = [Finding(what="disk", verdict=Verdict.PASS, text="room", advice="none")]
-    monkeypatch.setattr("cell.interfaces.cli.commands.doctor.examine", lambda *_: iter(found))
+    findings = [Finding(what="disk", verdict=Verdict.PASS, text="room", advice="none")]
+    monkeypatch.setattr("cell.interfaces.cli.commands.doctor.examine", lambda *_: iter(findings))
     assert call("doctor", "-c", config, "--json", tmp_path / "d.json") == (
         "pass  disk: room  -> none\n"
     )
-    assert read_json(tmp_path / "d.json")["findings"] == [asdict(found[0])]
-    found[0] = replace(found[0], verdict=Verdict.FAIL)
+    assert read_json(tmp_path / "d.json")["findings"] == [asdict(findings[0])]
+    findings[0] = replace(findings[0], verdict=Verdict.FAIL)
     assert "1 of 1 checks failed" in fail("doctor", "-c", config)
 
 
@@ -496,8 +496,8 @@ def test_simulate_prints_one_line_and_adds_to_the_faults_of_the_config(
     fault = ("--fault", "can.loss=0.05@2s")
     output = call("simulate", "-c", config, "--out", tmp_path / "sim", "--seed", 11, *fault)
     assert output == '{"servo_port": "/dev/pts/7"}\n'
-    ((found, options),) = served
-    assert (found.seed, found.simulator.faults) == (11, ("unit.stuck@9s", "can.loss=0.05@2s"))
+    ((changed, options),) = served
+    assert (changed.seed, changed.simulator.faults) == (11, ("unit.stuck@9s", "can.loss=0.05@2s"))
     assert options == {"folder": tmp_path / "sim", "until_parent_ends": False}
 
 
@@ -634,9 +634,9 @@ def test_a_signal_stops_the_job_and_keeps_grip_recording_and_what_was_grasped(
     signal.signal(signal.SIGHUP, before)
     assert min(built[0].simulated.world.contact_force_n()) > 1.0
     (recording,) = (tmp_path / "out").glob("teach-*/recording.mcap")
-    kept = read_recording(recording)
-    assert kept.complete
-    (held_s,) = (event["t_s"] for event in kept.events if event["kind"] == "held")
+    stored = read_recording(recording)
+    assert stored.complete
+    (held_s,) = (event["t_s"] for event in stored.events if event["kind"] == "held")
     assert 0.0 <= held_s - struck_s[0] <= 0.02
     if left:
         assert "the grip is kept until it is released on purpose. Recording so far: " in said
@@ -666,16 +666,16 @@ def test_the_version_is_printed() -> None:
 
 def options() -> dict[str, dict[str, Any]]:
     """Return the options of each command by the long name: all names, and the help."""
-    found: dict[str, dict[str, Any]] = {}
+    by_command: dict[str, dict[str, Any]] = {}
 
     def add(path: str, command: Any) -> None:
         command = getattr(command, "load", lambda: command)()
         for name, one in getattr(command, "commands", {}).items():
             add(f"{path} {name}".strip(), one)
-        found[path] = {one.opts[0]: one for one in command.params if one.opts[0][0] == "-"}
+        by_command[path] = {one.opts[0]: one for one in command.params if one.opts[0][0] == "-"}
 
     add("", get_command(app))
-    return found
+    return by_command
 
 
 def test_short_options_mean_the_same_in_every_command() -> None:
@@ -755,10 +755,10 @@ def test_a_fault_tells_its_number_what_became_of_the_grip_and_where_the_recordin
     quick, tmp_path, fail, fault
 ) -> None:
     numbers, left = FAULTED[fault]
-    found = tmp_path / "run.json"
+    report = tmp_path / "run.json"
     options = ("--config", quick, "--out", tmp_path / "out", "--fault", fault)
-    said = fail("run", *options, "--json", found)
-    ended = read_json(found)
+    said = fail("run", *options, "--json", report)
+    ended = read_json(report)
     assert ended["fault_number"] in numbers
     assert ended["ended_early"].split()[0] in said
     assert left in said

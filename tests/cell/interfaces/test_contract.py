@@ -71,17 +71,17 @@ def connect(request: pytest.FixtureRequest, serve: Any) -> Iterator[Connect]:
 
 def check_shown(host: Host, **expected: Any) -> None:
     """Check what an interface shows of these values."""
-    shown = expected | host.shown()
-    found = {
-        name: bool(shown[name]) if isinstance(value, bool) else shown[name]
+    values = expected | host.values()
+    actual = {
+        name: bool(values[name]) if isinstance(value, bool) else values[name]
         for name, value in expected.items()
     }
-    assert found == pytest.approx(expected)
+    assert actual == pytest.approx(expected)
 
 
 def check_refusal(host: Host, number: int) -> None:
-    shown, text = host.refusal()
-    assert (shown, bool(text)) == (number, True)
+    refused, text = host.refusal()
+    assert (refused, bool(text)) == (number, True)
 
 
 def test_a_part_is_identified_verified_and_let_go_with_its_key_alone(connect: Connect) -> None:
@@ -219,11 +219,11 @@ def test_poses_are_reached_or_refused(connect: Connect) -> None:
     served, host = connect()
     assert host.acquire() == 0
     for number, ok in enumerate((True, False), start=1):
-        found = served.ask_pose(Pose(x_m=0.001))
+        answer = served.ask_pose(Pose(x_m=0.001))
         check_shown(host, pose_seq=number)
         assert host.reached(number + 1, ok=ok) == -REFUSED
         assert host.reached(number, ok=ok) == 0
-        assert found.result(LIMIT_S) is ok
+        assert answer.result(LIMIT_S) is ok
         assert host.reached(number, ok=ok) == -REFUSED  # twice is not two poses
         check_shown(host, pose_seq=0)
 
@@ -269,8 +269,8 @@ def test_each_part_reaches_plc_robot_and_program_once(serve) -> None:
                     sent.append(message["part"])
                 else:  # the event comes first
                     assert len(message["shift"]["answers"]) <= len(sent)
-            shown = names | {"number": number, "probability": probability, "size_mm": 9.5}
-            assert {name: sent[-1][name] for name in shown} == shown
+            values = names | {"number": number, "probability": probability, "size_mm": 9.5}
+            assert {name: sent[-1][name] for name in values} == values
             assert plc.cycle()["NewPart"] is False
             assert plc.parts[number - 1 :] == [
                 {
@@ -304,9 +304,9 @@ def test_no_two_values_or_commands_share_a_place_at_an_interface() -> None:
     ("rotation", "roll"), [(0.0, 0.0), (0.4, 0.0), (0.0, -2.0), (3.0, 1.0), (-3.1, 3.1)]
 )
 def test_a_rotation_vector_rolls_first_then_turns(rotation: float, roll: float) -> None:
-    found = ur_pose(Pose(x_m=0.001, y_m=-0.002, rotation_rad=rotation, roll_rad=roll))
-    assert (found["x"], found["y"], found["z"]) == (0.001, -0.002, 0.0)
-    vector = np.array([found["rx"], found["ry"], found["rz"]])
+    pose = ur_pose(Pose(x_m=0.001, y_m=-0.002, rotation_rad=rotation, roll_rad=roll))
+    assert (pose["x"], pose["y"], pose["z"]) == (0.001, -0.002, 0.0)
+    vector = np.array([pose["rx"], pose["ry"], pose["rz"]])
     angle = float(np.linalg.norm(vector))
     axis = vector / angle if angle else vector
     cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
@@ -363,8 +363,8 @@ LETS_IN = {"modbus": "modbus.protocol", "xmlrpc": "http_server", "http": "http_s
 def test_other_hosts_are_refused(serve, link, monkeypatch, interface) -> None:
     port = serve(interface).interfaces[f"{interface}_port"]
     monkeypatch.setattr(f"cell.interfaces.{LETS_IN[interface]}.may_connect", lambda *_: False)
-    found = answered(link(port, "127.0.0.1"), INTERFACES[interface][0])
-    assert found.startswith(b"HTTP/1.1 403 ") if interface != "modbus" else not found
+    answer = answered(link(port, "127.0.0.1"), INTERFACES[interface][0])
+    assert answer.startswith(b"HTTP/1.1 403 ") if interface != "modbus" else not answer
 
 
 @pytest.mark.parametrize("interface", INTERFACES)
@@ -591,8 +591,8 @@ def test_the_address_for_others_is_that_of_this_machine_on_their_way(monkeypatch
     config = CellConfig(
         serve={"listen": "0.0.0.0", "allow": ("10.0.0.0/8", "192.168.7.0/24")}
     ).serve
-    found = page_address({"http_port": 7, "view_token": "v"}, config, "view_token")
-    assert (found, view_note(config)) == ("http://192.168.7.3:7/#token=v", "")
+    browsed = page_address({"http_port": 7, "view_token": "v"}, config, "view_token")
+    assert (browsed, view_note(config)) == ("http://192.168.7.3:7/#token=v", "")
     assert asked[:2] == ["10.128.0.0", "192.168.7.128"]
 
 

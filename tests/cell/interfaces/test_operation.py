@@ -80,11 +80,11 @@ def test_what_the_page_types_prints_writes_and_packs(tmp_path, monkeypatch) -> N
         for block in re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
         for line in block.splitlines()
     ]
-    shown, applied, support = commands
+    printing, applied, support = commands
     image = tmp_path / "image"
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cell.yaml").write_text("")
-    printed = call(*shown, "--root", image).output
+    printed = call(*printing, "--root", image).output
     assert not image.exists()
     for name in WRITTEN:
         assert f"/{name}" in printed
@@ -164,9 +164,9 @@ def test_what_the_service_user_cannot_read_is_named(tmp_path) -> None:
     config.chmod(0o640)
     config.parent.chmod(0o750)
     assert closed_to_others(config) in (config.parent, *tmp_path.parents)
-    found = call("service", "install", "-c", config).stderr
-    assert "no interface is open: set serve.http_port" in found
-    assert f"{config}: the user tactile-cell cannot read /" in found
+    warned = call("service", "install", "-c", config).stderr
+    assert "no interface is open: set serve.http_port" in warned
+    assert f"{config}: the user tactile-cell cannot read /" in warned
 
 
 # -- udev --------------------------------------------------------------------------------------
@@ -215,12 +215,12 @@ def notify(request: Any, tmp_path: Path) -> Iterator[tuple[str, socket.socket]]:
 
 
 def received(link: socket.socket) -> list[str]:
-    found = []
+    messages = []
     while True:
         try:
-            found.append(link.recv(4096).decode())
+            messages.append(link.recv(4096).decode())
         except BlockingIOError:
-            return found
+            return messages
 
 
 def test_the_watchdog_is_fed_only_while_the_cell_works(notify) -> None:
@@ -294,8 +294,8 @@ DASHBOARD = ROOT / "docs/examples/grafana-dashboard.json"
 
 
 def scraped(client: Client, token: str) -> tuple[int, str]:
-    status, found, _ = client.send("GET", "/metrics", token=token)
-    return status, found.decode() if isinstance(found, bytes) else str(found)
+    status, body, _ = client.send("GET", "/metrics", token=token)
+    return status, body.decode() if isinstance(body, bytes) else str(body)
 
 
 def values_of(text: str) -> dict[str, float]:
@@ -325,31 +325,31 @@ def test_a_scrape_counts_parts_faults_and_links(connect, monkeypatch) -> None:
     assert served.ended().error == ""
     status, text = scraped(client, served.interfaces["view_token"])
     assert status == 200
-    found = values_of(text)
+    samples = values_of(text)
     counted = {"parts_total{box}{named}": 1, "cycle_seconds_count": 1, "fault": 0, "state": 4}
-    assert {name: found[f"tactile_cell_{name}"] for name in counted} == counted
+    assert {name: samples[f"tactile_cell_{name}"] for name in counted} == counted
     for name, least, most in (
         ("cycle_seconds_sum", 0.5, 60),
         ("force_error_newtons_count", 1, 10),
         ("frames_total", 50, 1e5),
         ("servo_temperature_celsius{1}", 10, 80),
     ):
-        assert least <= found[f"tactile_cell_{name}"] <= most, name
+        assert least <= samples[f"tactile_cell_{name}"] <= most, name
     for name, value in (
         ("amperes_per_newton_metre{rising}", drive.rising_a_nm),
         ("amperes_per_newton_metre{falling}", drive.falling_a_nm),
     ):
-        assert found[f"tactile_cell_servo_{name}{{1}}"] == value
-    check_dashboard(found)
+        assert samples[f"tactile_cell_servo_{name}{{1}}"] == value
+    check_dashboard(samples)
     served.plugin.simulate({"inject": "servo1.off"})
     client.post("/api/jobs", lease=lease, goal={"task": "grip", "force_n": 3.0})
     number = served.ended().fault_number
-    found = values_of(scraped(client, client.token)[1])
-    assert found[f"tactile_cell_faults_total{{{number}}}"] == 1
-    assert found["tactile_cell_fault"] == number
+    samples = values_of(scraped(client, client.token)[1])
+    assert samples[f"tactile_cell_faults_total{{{number}}}"] == 1
+    assert samples["tactile_cell_fault"] == number
 
 
-def check_dashboard(found: dict[str, float]) -> None:
+def check_dashboard(scrape: dict[str, float]) -> None:
     """Check that each metric of the dashboard is in the scrape; a fault may not be there yet."""
     dashboard = json.loads(DASHBOARD.read_text())
     used = {
@@ -358,7 +358,7 @@ def check_dashboard(found: dict[str, float]) -> None:
         for target in panel["targets"]
         for name in re.findall(r"tactile_cell_\w+", target["expr"])
     }
-    there = {name.partition("{")[0] for name in found} | {"tactile_cell_faults_total"}
+    there = {name.partition("{")[0] for name in scrape} | {"tactile_cell_faults_total"}
     assert len(used) > 20
     assert used <= there
     documented = re.findall(r"`(tactile_cell_\w+)`", PAGE.read_text("utf-8"))
@@ -372,9 +372,9 @@ def test_each_result_of_a_part_is_counted() -> None:
     record = SimpleNamespace(
         cycles=(SimpleNamespace(setpoint_n=5.0),), outcome=SimpleNamespace(final_force_n=4.7)
     )
-    found = SimpleNamespace(records=(record, record))
+    grasps = SimpleNamespace(records=(record, record))
     for label, rejected in (("ball", False), ("ball", True), (UNKNOWN, True)):
-        totals.add(Part(label=label, rejected=rejected, seconds=70.0), found)
+        totals.add(Part(label=label, rejected=rejected, seconds=70.0), grasps)
     totals.add(Part(seconds=70.0), None)
     assert dict(totals.parts) == {
         ("ball", "named"): 1,
@@ -392,11 +392,11 @@ def test_metrics_need_a_token_and_health_does_not(connect) -> None:
     well = {"working": True, "problem": "", "state": "IDLE", "fault_number": 0, "holding": False}
     assert client.ask("GET", "/healthz", token=None) == (200, well)
     served.plugin.fail(HeartbeatLost("no heartbeat"))
-    status, found = client.ask("GET", "/healthz", token=None)
-    assert (status, found["state"], found["fault_number"]) == (200, "ABORTED", 305)
+    status, health = client.ask("GET", "/healthz", token=None)
+    assert (status, health["state"], health["fault_number"]) == (200, "ABORTED", 305)
     served.plugin.working = False
-    status, found = client.ask("GET", "/healthz", token=None)
-    assert (status, found["problem"].split(";")[0]) == (503, "the thread of the cell hangs")
+    status, health = client.ask("GET", "/healthz", token=None)
+    assert (status, health["problem"].split(";")[0]) == (503, "the thread of the cell hangs")
 
 
 # -- The support bundle: what is in it, and that no secret is --------------------------------------
@@ -445,28 +445,28 @@ def packed(folder: Path) -> dict[str, bytes]:
     file = folder / "bundle.zip"
     printed = call("service", "support", file, "-c", folder / "cell.yaml").output
     with ZipFile(file) as archive:
-        found = {name: archive.read(name) for name in archive.namelist()}
-    assert all(name in printed for name in found)
-    return found
+        members = {name: archive.read(name) for name in archive.namelist()}
+    assert all(name in printed for name in members)
+    return members
 
 
 @pytest.mark.slow
 def test_no_secret_of_the_cell_is_in_its_bundle(cell: Served, tmp_path: Path) -> None:
     Client(cell.interfaces).post("/api/lease", name=f"host with {SECRET}")
-    found = packed(tmp_path)
+    members = packed(tmp_path)
     recording = tmp_path / "recording.mcap"
-    recording.write_bytes(found["recording.mcap"])
+    recording.write_bytes(members["recording.mcap"])
     unpacked = b"".join(data for _, _, data in RecordedMessages(recording))
-    for name, content in (*found.items(), ("recording", unpacked)):
+    for name, content in (*members.items(), ("recording", unpacked)):
         for secret in SECRETS:
             assert secret.encode() not in content, name
-    config = parse_config(found["config.yaml"].decode(), source="bundle")
+    config = parse_config(members["config.yaml"].decode(), source="bundle")
     assert (config.serve.token_file, config.serve.secret_file) == (REMOVED, REMOVED)
     assert config.recording.directory == str(tmp_path / "out")
-    assert b"xmlrpc_port" in found["journal.txt"]
-    assert json.loads(found["health.txt"])["working"] is True
-    assert "tactile-cell" in json.loads(found["versions.json"])["packages"]
-    assert b"host with removed" in found["state.txt"]
+    assert b"xmlrpc_port" in members["journal.txt"]
+    assert json.loads(members["health.txt"])["working"] is True
+    assert "tactile-cell" in json.loads(members["versions.json"])["packages"]
+    assert b"host with removed" in members["state.txt"]
 
 
 @pytest.mark.slow
@@ -476,10 +476,10 @@ def test_without_a_service_the_bundle_says_so(tmp_path: Path, monkeypatch: Any) 
     silent = changed_config(config, {"serve.http_port": 1, "serve.token_file": ""})
     (tmp_path / "cell.yaml").write_text(config_text(silent))
     monkeypatch.setattr("cell.interfaces.cli.commands.service.RECORDING_BYTES", 1000)
-    found = packed(tmp_path)
-    assert found["health.txt"].startswith(b"the service did not answer: ")
-    assert "recording.mcap" not in found
-    assert b"more than 1000 bytes" in found["recording.txt"]
+    members = packed(tmp_path)
+    assert members["health.txt"].startswith(b"the service did not answer: ")
+    assert "recording.mcap" not in members
+    assert b"more than 1000 bytes" in members["recording.txt"]
     nothing = changed_config(silent, {"serve.http_port": None})
     (tmp_path / "cell.yaml").write_text(config_text(nothing))
     assert b"serve.http_port is not set" in packed(tmp_path)["health.txt"]

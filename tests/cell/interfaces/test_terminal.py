@@ -91,10 +91,10 @@ def test_q_and_the_end_of_input_leave(typed, lines) -> None:
 def test_writes_are_shown_and_refused_unless_yes_is_typed(typed, capsys) -> None:
     zero = replace(WRITE, what="drive_mode (10)", before="0", after="4")
     typed("", "maybe", "y").approve([WRITE, zero])
-    shown = capsys.readouterr().out
-    assert "servo 1: id (7): 1 -> 2" in shown
-    assert "servo 1: drive_mode (10): 0 -> 4" in shown
-    assert shown.count("undo: by --restore") == 1
+    text = capsys.readouterr().out
+    assert "servo 1: id (7): 1 -> 2" in text
+    assert "servo 1: drive_mode (10): 0 -> 4" in text
+    assert text.count("undo: by --restore") == 1
     for refusal in ("n", "q"):
         with pytest.raises(WizardAborted):
             typed(refusal).approve([WRITE])

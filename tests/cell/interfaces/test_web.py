@@ -67,9 +67,9 @@ def test_refusals_have_a_status_and_a_fault_number(served, host) -> None:
         ("/api/pose", {"lease": lease, "seq": 1, "ok": True}, 422, 513),
         ("/api/pose", {"lease": lease, "seq": 1, "ok": True, "pose": {"w": 1}}, 422, 513),
     ):
-        found = host.ask("POST", path, body)
-        check_refusal(*found, status=status)
-        assert found[1]["fault_number"] == number, path
+        answer = host.ask("POST", path, body)
+        check_refusal(*answer, status=status)
+        assert answer[1]["fault_number"] == number, path
     for path, body in (
         ("/api/jobs", {"lease": "x", "goal": identify}),
         ("/api/jobs", {"lease": math.nan, "goal": identify}),
@@ -85,8 +85,8 @@ def test_refusals_have_a_status_and_a_fault_number(served, host) -> None:
         ("DELETE", "/api/jobs/3", 405, "methods of each path"),
         ("POST", "/api/hold?latch=perhaps", 422, "Correct the request."),
     ):
-        check_refusal(*(found := host.ask(way, path)), status=status)
-        assert remedy in found[1]["remedy"], path
+        check_refusal(*(answer := host.ask(way, path)), status=status)
+        assert remedy in answer[1]["remedy"], path
     for more, status, remedy in (
         ({"token": "wrong"}, 401, "Send the token"),
         ({"token": None}, 401, "Send the token"),
@@ -95,8 +95,8 @@ def test_refusals_have_a_status_and_a_fault_number(served, host) -> None:
         ({"Origin": "http://evil.example"}, 403, "from a page of this cell"),
         ({"Host": "evil.example"}, 403, "`serve.hosts`"),
     ):
-        check_refusal(*(found := host.ask("POST", "/api/lease", **more)), status=status)
-        assert remedy in found[1]["remedy"], more
+        check_refusal(*(answer := host.ask("POST", "/api/lease", **more)), status=status)
+        assert remedy in answer[1]["remedy"], more
     assert served.plugin.job().number == 0
 
 
@@ -113,9 +113,9 @@ def test_a_text_that_no_answer_can_have_is_refused(served, host) -> None:
         assert host.get("/api/state")["commander"] == ""
 
 
-def check_refusal(found: int, answer: Any, *, status: int) -> None:
+def check_refusal(answered: int, answer: Any, *, status: int) -> None:
     """Check status and the one shape of all refusals, which has no name of a function in it."""
-    assert found == status, answer
+    assert answered == status, answer
     assert answer.keys() == {"fault_number", "error", "remedy"}
     assert answer["fault_number"] >= 100
     assert answer["error"]
@@ -231,8 +231,8 @@ def test_faults_of_a_simulated_cell_begin_and_end_on_request(connect, capsys) ->
     assert capsys.readouterr().out == "[{'fault': 'servo1.off', 'begun': True}]\n"
     assert served.ended(job).fault_number in (102, 103)
     for wrong in ("servo1.of", "servo9.off", "servo1.off"):
-        found = host.ask("POST", "/api/simulation/faults", {"fault": wrong})
-        check_refusal(*found, status=422)
+        answer = host.ask("POST", "/api/simulation/faults", {"fault": wrong})
+        check_refusal(*answer, status=422)
     exec(end, typed)
     assert host.get("/api/simulation/faults")["running"] == []
     check_refusal(*host.ask("DELETE", "/api/simulation/faults?fault=can.loss"), status=422)
@@ -253,9 +253,9 @@ def test_a_trainer_exchanges_the_part_and_an_own_name_is_taught(connect) -> None
     typed["done"] = served.ended
     exec(trainer, typed)
     assert "my mug" in host.get("/api/info")["labels"]
-    found = host.get(place)
-    assert found["part"] == found["placed"] == "cylinder:diameter=8mm,length=20mm"
-    assert (found["pose"]["x_m"], "my mug" in found["objects"]) == (0.002, True)
+    placed = host.get(place)
+    assert placed["part"] == placed["placed"] == "cylinder:diameter=8mm,length=20mm"
+    assert (placed["pose"]["x_m"], "my mug" in placed["objects"]) == (0.002, True)
     # What is in the grip is not exchanged.
     goal = {"task": "grip", "force_n": 3.0}
     assert served.ended(host.post("/api/jobs", lease=lease, goal=goal)["job"]).verification.held
@@ -263,16 +263,16 @@ def test_a_trainer_exchanges_the_part_and_an_own_name_is_taught(connect) -> None
     check_refusal(status, refused, status=409)
     assert "release it first" in refused["error"]
     assert served.ended(host.post("/api/simulation/reset", lease=lease)["job"]).error == ""
-    found = host.get(place)
-    assert (found["part"], found["placed"], found["pose"]["x_m"]) == (None, None, 0.0)
+    placed = host.get(place)
+    assert (placed["part"], placed["placed"], placed["pose"]["x_m"]) == (None, None, 0.0)
 
 
 def test_the_view_only_link_reads_and_gives_no_command(served, host) -> None:
-    found = served.interfaces
-    view = {"http_port": host.port, "token": found["view_token"]}
+    interfaces = served.interfaces
+    view = {"http_port": host.port, "token": interfaces["view_token"]}
     watcher = Client(view)
     told = watcher.get("/api/access")
-    assert told["address"] == f"http://127.0.0.1:{host.port}/#token={found['view_token']}"
+    assert told["address"] == f"http://127.0.0.1:{host.port}/#token={interfaces['view_token']}"
     assert (told["commands"], host.get("/api/access")["commands"]) == (False, True)
     assert "set serve.listen" in told["note"]
     assert {len(told["qr"])} == {len(row) for row in told["qr"]}
@@ -301,9 +301,9 @@ def test_all_but_hold_and_health_needs_the_token(served, host) -> None:
         for token in (None, "wrong"):
             assert host.ask(method.upper(), place, {}, token=token)[0] == 401, path
         view = served.interfaces["view_token"]
-        status, found = host.ask(method.upper(), place, {}, token=view)
+        status, answer = host.ask(method.upper(), place, {}, token=view)
         assert (status == 403) is (method != "get"), path
-        assert status != 403 or (found["fault_number"], "is view only" in found["error"]) == (
+        assert status != 403 or (answer["fault_number"], "is view only" in answer["error"]) == (
             514,
             True,
         )
@@ -363,9 +363,9 @@ def openapi_paths(host: Client) -> set[str]:
 def test_a_defect_is_answered_in_the_same_shape(served, host, caplog) -> None:
 
     served.plugin.info = raising(ZeroDivisionError("a defect"))
-    status, found = host.ask("GET", "/api/info")
-    check_refusal(status, found, status=500)
-    assert (found["fault_number"], found["error"]) == (
+    status, answer = host.ask("GET", "/api/info")
+    check_refusal(status, answer, status=500)
+    assert (answer["fault_number"], answer["error"]) == (
         599,
         "unexpected error (ZeroDivisionError): a defect",
     )
@@ -374,8 +374,8 @@ def test_a_defect_is_answered_in_the_same_shape(served, host, caplog) -> None:
 
 def test_an_answer_may_take_longer_than_a_request(connect) -> None:
     served, host = connect(serve__request_timeout_s=0.1)
-    shown, waited = served.plugin.taught, threading.Event()
-    served.plugin.taught = lambda: waited.wait(0.3) or shown()
+    taught, waited = served.plugin.taught, threading.Event()
+    served.plugin.taught = lambda: waited.wait(0.3) or taught()
     assert len(host.get("/api/taught")) == 2
 
 
@@ -455,7 +455,7 @@ def test_the_second_request_of_a_connection_has_its_limit_too(connect, monkeypat
 
 def test_the_socket_sends_states_and_frames(served, host) -> None:
     def frame(link: Any) -> Any:
-        return until(lambda: isinstance(found := link.recv(timeout=20), bytes) and found)
+        return until(lambda: isinstance(message := link.recv(timeout=20), bytes) and message)
 
     with host.live("&frames=1") as link, host.live("&frames=newtons") as newtons:
         assert json.loads(link.recv(timeout=20))["pose"] is None

@@ -126,8 +126,8 @@ class Robot:
             def __getattr__(self, name: str) -> Callable[..., Any]:
                 def call(*arguments: Any) -> Any:
                     robot.calls.append(name)
-                    found = getattr(link, name)(*arguments)
-                    return robot.answers.get(name, found)
+                    answer = getattr(link, name)(*arguments)
+                    return robot.answers.get(name, answer)
 
                 return call
 
@@ -177,8 +177,8 @@ def test_no_method_raises_whatever_it_is_given(connect) -> None:
     types = (int, float, bool, str, dict)
     for name in METHODS:
         for arguments in ((), (1,), ("x",), (1, 2), (1, "x", 2.0), (1, 1, 1.0, True), (1,) * 7):
-            found = getattr(cell, name)(*arguments)
-            assert isinstance(found, types), (name, arguments)
+            answer = getattr(cell, name)(*arguments)
+            assert isinstance(answer, types), (name, arguments)
     state = dumps((), "state").encode()
     kind = {"Content-Type": "Text/XML; charset=utf-8"}
     assert loads(post(served, state, "[::1]:5021", **kind)[1])[0] == (4,)
@@ -399,10 +399,10 @@ def test_what_is_no_call_or_could_grow_is_refused(connect) -> None:
     assert post(served, b"x", **{"Content-Length": str(REQUEST_BYTES + 1)})[0] == 413
     assert post(served, b"", **{"Transfer-Encoding": "chunked"})[0] == 413
     for body in (b"", b"<", b"<methodCall>", b"{}"):
-        status, found = post(served, body)
+        status, answer = post(served, body)
         assert status == 200
         with pytest.raises(Fault):
-            loads(found)
+            loads(answer)
     elsewhere = ServerProxy(address(served).replace("RPC2", "api"))
     with elsewhere, pytest.raises(ProtocolError, match="404"):
         elsewhere.state()

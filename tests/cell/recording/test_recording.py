@@ -251,7 +251,7 @@ def test_killed_program_leaves_a_readable_recording(tmp_path) -> None:
 
 
 def fill_disk_after(
-    monkeypatch: pytest.MonkeyPatch, n_bytes: int, *, shown: bool = True
+    monkeypatch: pytest.MonkeyPatch, n_bytes: int, *, reported: bool = True
 ) -> list[int]:
     """Let the disk take ``n_bytes``, half of the write that goes beyond, then nothing.
 
@@ -269,7 +269,7 @@ def fill_disk_after(
         return write(handle, taken)
 
     def free(_place: object) -> SimpleNamespace:
-        return SimpleNamespace(f_bavail=room[0] if shown else 1 << 40, f_frsize=1)
+        return SimpleNamespace(f_bavail=room[0] if reported else 1 << 40, f_frsize=1)
 
     monkeypatch.setattr(recorder_sink.os, "write", limited)
     monkeypatch.setattr(recorder_sink.os, "statvfs", free)
@@ -289,7 +289,7 @@ def ended(recorder: Recorder) -> None:
 @pytest.mark.parametrize("room", [0, 100, 9_000, 25_000, 29_000])
 def test_a_full_disk_leaves_what_was_whole_before(room, background, tmp_path, monkeypatch) -> None:
     clock, path, notes = Clock(100.0), tmp_path / "r.mcap", list[str]()
-    fill_disk_after(monkeypatch, room, shown=False)
+    fill_disk_after(monkeypatch, room, reported=False)
     recorder = Recorder(path, clock, pads=PADS, background=background, note=notes.append)
     grasps = [record_grasp(recorder, clock, f"{i}") for i in range(12)]
     with pytest.raises(RecordingError, match=r"No space left.*free space") as caught:
@@ -309,12 +309,12 @@ def test_a_full_disk_leaves_what_was_whole_before(room, background, tmp_path, mo
 
 
 @pytest.mark.parametrize("background", [False, True])
-@pytest.mark.parametrize("shown", [False, True])
+@pytest.mark.parametrize("reported", [False, True])
 def test_a_recording_begins_again_when_its_disk_has_room(
-    *, shown, background, tmp_path, monkeypatch
+    *, reported, background, tmp_path, monkeypatch
 ) -> None:
     clock, path, notes = Clock(100.0), tmp_path / "r.mcap", list[str]()
-    room = fill_disk_after(monkeypatch, 25_000 + shown * LEFT_BYTES, shown=shown)
+    room = fill_disk_after(monkeypatch, 25_000 + reported * LEFT_BYTES, reported=reported)
     recorder = Recorder(path, clock, pads=PADS, background=background, note=notes.append)
     (tmp_path / "r-2.mcap").touch()  # somebody else's
     assert not recorder.begin()
@@ -326,9 +326,9 @@ def test_a_recording_begins_again_when_its_disk_has_room(
     ended(recorder)
     why = str(recorder.fault)
     recorder.frame(make_frame(clock.now_s + 0.02, np.random.default_rng(0)))
-    room[0] = ROOM_BYTES - 1 if shown else 0
+    room[0] = ROOM_BYTES - 1 if reported else 0
     recorder.begin()
-    if not shown:
+    if not reported:
         ended(recorder)  # the new file cannot be written either
     assert recorder.fault is not None
     room[0] = 2 * ROOM_BYTES
@@ -339,7 +339,7 @@ def test_a_recording_begins_again_when_its_disk_has_room(
     first = record_grasp(recorder, clock, "after")
     recorder.close()
     assert notes[0] == why
-    if shown:
+    if reported:
         old = read_recording(path)
         assert (old.complete, len(old.grasps) > 2) == (True, True)
         assert (old.events[-1]["kind"], old.events[-1]["text"]) == ("note", why)

@@ -65,8 +65,8 @@ class Outline:
 
     def values(self, *names: str) -> list[str]:
         """Return the values of some attributes."""
-        found = (one.get(name) for one in self.elements for name in names)
-        return [value for value in found if value is not None]
+        attributes = (one.get(name) for one in self.elements for name in names)
+        return [value for value in attributes if value is not None]
 
 
 @pytest.fixture(scope="module")
@@ -229,8 +229,8 @@ def test_many_labels_make_a_dense_table_and_few_sequences() -> None:
 def test_a_table_has_its_labels_and_the_answers_that_were_given() -> None:
     table = score("", ["a", "b"], ["b", "b"], ["a", "b"])
     assert table.columns == ("a", "b", UNKNOWN)
-    shown = table.without_empty()
-    assert (shown.columns, shown.counts.tolist()) == (("a", "b"), [[0, 1], [0, 1]])
+    smaller = table.without_empty()
+    assert (smaller.columns, smaller.counts.tolist()) == (("a", "b"), [[0, 1], [0, 1]])
     assert score("", ["a"], ["x"], ["a"]).without_empty().columns == ("a", UNKNOWN)
     page = page_of(paper_table().labels, tables=[paper_table()])
     assert "96.0 %" in page
@@ -280,7 +280,7 @@ def test_unwritable_place_is_a_clear_error(tmp_path) -> None:
 # -- shape and size ----------------------------------------------------------------------------
 
 
-def felt(truth: str, shape: Any, answer: str = "ball") -> Felt:
+def shape_row(truth: str, shape: Any, answer: str = "ball") -> Felt:
     return truth, answer, shape
 
 
@@ -291,15 +291,15 @@ def test_shape_and_size_stand_beside_each_identification() -> None:
     page = page_of(p.labels, answers=answers)
     assert "cylinder, 6.1 mm (5.8 to 6.4)" in page
     assert "a cylinder of 6.1 mm (5.8 to 6.4)" in page
-    assert shapes_view([felt("pin", None)]) is None
+    assert shapes_view([shape_row("pin", None)]) is None
 
 
 def test_all_shapes_are_drawn_on_one_scale() -> None:
     rows = (
-        felt("pin", make_shape("cylinder", 6.0)),
-        felt("pin", make_shape("oval", 6.2)),
-        felt("pin", None),
-        felt("bar", make_shape("flat", 10.0, 15.9), UNKNOWN),
+        shape_row("pin", make_shape("cylinder", 6.0)),
+        shape_row("pin", make_shape("oval", 6.2)),
+        shape_row("pin", None),
+        shape_row("bar", make_shape("flat", 10.0, 15.9), UNKNOWN),
     )
     view = shapes_view(rows, {"pin": "true 6.0 mm"})
     pin, bar = view["groups"]
@@ -323,12 +323,12 @@ def test_all_shapes_are_drawn_on_one_scale() -> None:
 
 def test_many_shapes_are_counted_but_not_all_drawn() -> None:
     one = make_shape("cylinder", 6.0)
-    rows = [felt("pin", one)] * (MAX_BARS + 5)
+    rows = [shape_row("pin", one)] * (MAX_BARS + 5)
     view = shapes_view(rows)
     (group,) = view["groups"]
     assert len(group["shapes"]) == MAX_BARS
     assert group["kinds"] == f"cylinder {MAX_BARS + 5} of {MAX_BARS + 5}"
-    strange = shapes_view([felt("pin", one, UNKNOWN)] * (MAX_BARS + 5))
+    strange = shapes_view([shape_row("pin", one, UNKNOWN)] * (MAX_BARS + 5))
     assert (len(strange["strangers"]), strange["n_hidden"]) == (MAX_BARS, 5)
 
 
@@ -359,8 +359,8 @@ def test_figures_tables_and_files_of_a_run(recording, report, taught) -> None:
     ]
     # The tables are those that the job counts and prints.
     tables = report.sections["result"]["tables"]
-    for shown, counted in zip(tables, taught.result.scores.values(), strict=True):
-        assert (shown.name, shown.labels, shown.text) == (
+    for table, counted in zip(tables, taught.result.scores.values(), strict=True):
+        assert (table.name, table.labels, table.text) == (
             counted.name,
             counted.labels,
             counted.text,

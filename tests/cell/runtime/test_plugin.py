@@ -147,8 +147,8 @@ def test_teach_then_identify(make_plugin: Any) -> None:
     assert answer.probabilities["box"] > answer.probabilities["ball"]
     assert answer.probability == answer.probabilities[answer.label]
     assert (answer.shape.kind, answer.shape.n_grasps) == ("flat", answer.n_grasps)
-    shown = {"task": "identify", "grasps": answer.n_grasps, "of": 3, "best": answer.label}
-    assert {name: progress[name] for name in shown} == shown
+    reported = {"task": "identify", "grasps": answer.n_grasps, "of": 3, "best": answer.label}
+    assert {name: progress[name] for name in reported} == reported
     assert progress["shape"].startswith("flat, ")
     assert plugin.status().state == "IDLE"
 
@@ -577,10 +577,10 @@ def standing(plugin: TactileCellPlugin) -> tuple[Any, ...]:
 @pytest.mark.slow
 def test_a_part_is_gripped_without_a_name_and_survives_the_end_of_the_host(plugin) -> None:
     job = plugin.start({"task": "grip", "force_n": 3.0, "present": "box"})
-    found = plugin.result(job, LIMIT_S)
-    assert (found.held, found.same, found.reasons) == (True, True, ())
-    assert found.force_n == pytest.approx(4.0, abs=0.7)
-    assert found.opening_m == pytest.approx(9.0e-3, abs=0.5e-3)
+    verification = plugin.result(job, LIMIT_S)
+    assert (verification.held, verification.same, verification.reasons) == (True, True, ())
+    assert verification.force_n == pytest.approx(4.0, abs=0.7)
+    assert verification.opening_m == pytest.approx(9.0e-3, abs=0.5e-3)
     assert plugin.feedback(job).progress["held_with_n"] == 4.0
     plugin.cancel(job)  # changes nothing for a kept part
     plugin.cell.controller.life.cancel()
@@ -668,8 +668,8 @@ def test_each_part_is_held_until_it_is_at_its_place(sorter: Sorter) -> None:
     assert tally["places"] == {"bin 1": 1, "bin 2": 1, "reject": 1}
     assert (tally["share_named"], tally["mistakes"]) == (pytest.approx(2 / 3), [])
     assert tally["matrix"]["rod"] == {"bin 1": 0, "bin 2": 0, "reject": 1}
-    found = [(part.number, part.label, part.job, part.task) for part in sorter.parts]
-    assert found == [(1, "ball", 1, "sort"), (2, "box", 1, "sort"), (3, UNKNOWN, 1, "sort")]
+    parts = [(part.number, part.label, part.job, part.task) for part in sorter.parts]
+    assert parts == [(1, "ball", 1, "sort"), (2, "box", 1, "sort"), (3, UNKNOWN, 1, "sort")]
 
 
 def test_a_part_in_another_bin_is_a_mistake_and_a_reject_is_none(taught: Any) -> None:

@@ -161,18 +161,18 @@ def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(taught, tmp
         file: Any = tasks.ModelFile(model, path)
         return tasks.Tasks(controller, file).gauge(goal, told.append)
 
-    found = gauge(DRIFT)
-    assert found.aperture_offset_m == pytest.approx(-1e-3, abs=1e-3)
+    gauged = gauge(DRIFT)
+    assert gauged.aperture_offset_m == pytest.approx(-1e-3, abs=1e-3)
     assert [one["grasps"] for one in told] == [*range(len(balls) + 1), len(balls)]
-    shown = {"gain": found.gain, "opening_mm": 1e3 * found.aperture_offset_m}
+    reported = {"gain": gauged.gain, "opening_mm": 1e3 * gauged.aperture_offset_m}
     before = {"gain": pytest.approx(1.0), "opening_mm": pytest.approx(0.0, abs=1e-9)}
-    assert told[-1]["gauged"] == {"label": "ball", "before": before, "after": shown}
-    assert model.drift.drift == found
-    assert load_model(path).recognizer.grid.drift == found  # type: ignore[attr-defined]
+    assert told[-1]["gauged"] == {"label": "ball", "before": before, "after": reported}
+    assert model.drift.drift == gauged
+    assert load_model(path).recognizer.grid.drift == gauged  # type: ignore[attr-defined]
     again = gauge(Drift())
-    assert told[-1]["gauged"]["before"] == shown
+    assert told[-1]["gauged"]["before"] == reported
     assert again.gain == pytest.approx(1.0, rel=0.1)
-    assert again.aperture_offset_m > found.aperture_offset_m
+    assert again.aperture_offset_m > gauged.aperture_offset_m
     with pytest.raises(RequestRefused, match="'nut' was not taught: gauge with one of ball, box"):
         model.check_gauge("nut")
 
@@ -204,22 +204,22 @@ def test_what_cannot_be_gauged_or_followed_says_why(taught, drifted, tmp_path) -
 @pytest.fixture
 def calibrate(taught: Any, tmp_path: Path) -> Callable[..., tuple[str, Any, Any]]:
     """Return what calibrates the taught model: what it prints, its JSON, the new recognizer."""
-    new, found = tmp_path / "new.npz", tmp_path / "c.json"
+    new, report = tmp_path / "new.npz", tmp_path / "c.json"
 
     def run(*arguments: object) -> tuple[str, Any, Any]:
-        files = ("-m", taught.result.model, "-o", new, "--json", found)
+        files = ("-m", taught.result.model, "-o", new, "--json", report)
         text = call("model", "calibrate", *arguments, *files)
-        return text, json.loads(found.read_text(encoding="utf-8")), load_model(new).recognizer
+        return text, json.loads(report.read_text(encoding="utf-8")), load_model(new).recognizer
 
     return run
 
 
 @pytest.mark.slow
 def test_calibrate_writes_a_model_that_expects_the_drift(calibrate, drifted) -> None:
-    text, found, recognizer = calibrate(drifted, "--gauge", "ball")
+    text, report, recognizer = calibrate(drifted, "--gauge", "ball")
     assert "5 grasps of ball: gain" in text
-    assert found["aperture_mm"] == pytest.approx(-1.0, abs=2.0 * found["aperture_sd_mm"])
-    assert found["aperture_mm"] < 0.0
+    assert report["aperture_mm"] == pytest.approx(-1.0, abs=2.0 * report["aperture_sd_mm"])
+    assert report["aperture_mm"] < 0.0
     answers = [(recognizer.posterior(grasp), grasp.label) for grasp in read_dataset(drifted)]
     assert all(posterior.best == label for posterior, label in answers)
     assert sum(posterior.name == label for posterior, label in answers) >= 7
@@ -232,11 +232,11 @@ def test_calibrate_follows_grasps_that_nobody_named(taught, calibrate, tmp_path)
     mixed = [grasp for k in range(5) for grasp in (grasps[k], grasps[k + 5])]
     unnamed = [replace(g, label="", start_ms=k) for k, g in enumerate(mixed)]
     write_dataset(tmp_path / "shift.npz", unnamed)
-    text, found, recognizer = calibrate(tmp_path / "shift.npz")
+    text, report, recognizer = calibrate(tmp_path / "shift.npz")
     assert "10 grasps of a shift: gain" in text
-    assert found["gauge"] is None
-    assert found["aperture_mm"] == pytest.approx(-3.0, abs=2.0 * found["aperture_sd_mm"])
-    assert found["aperture_mm"] < -2.0
+    assert report["gauge"] is None
+    assert report["aperture_mm"] == pytest.approx(-3.0, abs=2.0 * report["aperture_sd_mm"])
+    assert report["aperture_mm"] < -2.0
     # Ten grasps leave the zero unsure by a millimetre, and the objects differ by half of one.
     assert sum(recognizer.posterior(grasp).best == grasp.label for grasp in grasps) >= 8
 
@@ -246,9 +246,9 @@ def test_calibrate_on_the_cell_finds_that_nothing_drifted(taught, calibrate, tmp
     config = tmp_path / "cell.yaml"
     changes = {"recording.directory": str(tmp_path / "out")}
     config.write_text(config_text(changed_config(taught.config, changes)))
-    _, found, recognizer = calibrate("--gauge", "ball", "-n", 3, "-c", config)
-    assert found["n_grasps"] == 3
-    assert abs(found["aperture_mm"]) < 2.0 * found["aperture_sd_mm"]
+    _, report, recognizer = calibrate("--gauge", "ball", "-n", 3, "-c", config)
+    assert report["n_grasps"] == 3
+    assert abs(report["aperture_mm"]) < 2.0 * report["aperture_sd_mm"]
     assert recognizer.labels == ("ball", "box")
 
 
@@ -306,10 +306,10 @@ def test_json_has_what_was_promised(taught) -> None:
         assert np.array(figures["confusion"]).shape == (2, 3)
         assert figures["confusion_columns"] == ["ball", "box", UNKNOWN]
     assert 1.0 <= data["grasps_per_trial"] <= 4.0
-    felt = data["identifications"]
-    assert [one["presented"] for one in felt] == ["ball", "box"]
+    identifications = data["identifications"]
+    assert [one["presented"] for one in identifications] == ["ball", "box"]
     kinds = [part.shape.kind for part in taught.result.parts]
-    assert [one["shape"] for one in felt] == kinds
+    assert [one["shape"] for one in identifications] == kinds
     assert kinds[0] in ("sphere", "oval")  # one ball in forty is felt as an oval
     assert kinds[1] == "flat"
     for name in ("recording", "dataset", "model"):

@@ -64,8 +64,8 @@ def test_a_captured_sequence_is_canopen_to_tshark(tmp_path: Path) -> None:
     assert decode(capture, "-Y", "_ws.malformed") == []
     assert decode(capture, "-Y", "_ws.expert.severity >= 6291456") == []  # warnings and errors
     fields = ("canopen.cob_id", "canopen.nmt_guard.state", "canopen.nmt_ctrl.cd", "can.len")
-    shown = [f for name in fields for f in ("-e", name)]
-    rows = [row.split("\t") for row in decode(capture, "-T", "fields", *shown)]
+    columns = [f for name in fields for f in ("-e", name)]
+    rows = [row.split("\t") for row in decode(capture, "-T", "fields", *columns)]
     kinds = Counter(int(cob_id, 16) for cob_id, *_ in rows)
     assert set(kinds) == {0x000, 0x080, 0x285, 0x385, 0x585, 0x605, 0x705}
     whole = statistics.frames.complete

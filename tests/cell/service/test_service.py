@@ -430,14 +430,14 @@ def test_parts_rejects_misses_and_faults_are_counted_apart() -> None:
         clock.now_s += 60.0
         shift.add(clock.part(label, **fields))
     shift.add(Part(task="sort", seconds=7.0))
-    found = shift.values()
-    assert (found["parts"], found["rejected"], found["missed"], found["faults"]) == (3, 1, 1, 2)
-    assert found["counts"] == {"ball": 1, "box": 1, "UNKNOWN": 1}
-    assert (found["cycle_s"], found["parts_last_hour"]) == (5.0, 3)
-    first = found["answers"][0]
+    values = shift.values()
+    assert (values["parts"], values["rejected"], values["missed"], values["faults"]) == (3, 1, 1, 2)
+    assert values["counts"] == {"ball": 1, "box": 1, "UNKNOWN": 1}
+    assert (values["cycle_s"], values["parts_last_hour"]) == (5.0, 3)
+    first = values["answers"][0]
     assert (first.number, first.label, first.place) == (1, "ball", "left")
     assert first.runner_up == {"label": "box", "probability": 0.05}
-    assert first.time_s == found["since_s"] + 60.0
+    assert first.time_s == values["since_s"] + 60.0
 
 
 def test_the_parts_of_the_last_hour_are_counted() -> None:
@@ -463,15 +463,15 @@ def test_the_ledger_stays_small() -> None:
     for number in range(5000):
         clock.now_s += 1.0
         shift.add(clock.part(), {"t_s": [float(number)]})
-    found = shift.values()
-    assert (found["parts"], found["parts_last_hour"]) == (5000, 3600)
-    assert [one.number for one in found["answers"]] == list(range(5001 - KEPT_ANSWERS, 5001))
+    values = shift.values()
+    assert (values["parts"], values["parts_last_hour"]) == (5000, 3600)
+    assert [one.number for one in values["answers"]] == list(range(5001 - KEPT_ANSWERS, 5001))
     assert shift.curves(5000) == {"t_s": [4999.0]}
     assert shift.part(5001 - KEPT_ANSWERS).number == 5001 - KEPT_ANSWERS
     with pytest.raises(RequestRefused, match="part 4980 is not kept; the newest is 5000"):
         shift.part(5000 - KEPT_ANSWERS)
-    kept = (shift._times_s, shift._cycles_s, shift.parts, shift._curves)
-    assert tuple(map(len, kept)) == (3600, 1000, 20, 20)
+    stored = (shift._times_s, shift._cycles_s, shift.parts, shift._curves)
+    assert tuple(map(len, stored)) == (3600, 1000, 20, 20)
 
 
 @pytest.mark.parametrize(
@@ -496,11 +496,11 @@ def test_a_new_shift_begins_with_no_figures_and_parts_keep_their_numbers() -> No
         for _ in range(n_parts):
             shift.add(clock.part())
         faults[0] += 1
-        found = shift.values()
-        assert (found["parts"], found["faults"], found["counts"].get("ball", 0)) == (
+        values = shift.values()
+        assert (values["parts"], values["faults"], values["counts"].get("ball", 0)) == (
             n_parts, 1, n_parts,
         )  # fmt: skip
-        clock.now_s = found["since_s"] + 16.1 * 3600.0
+        clock.now_s = values["since_s"] + 16.1 * 3600.0
         assert shift.values()["parts"] == shift.values()["faults"] == 0
     assert [one.number for one in shift.parts] == [1, 2, 3, 4, 5]
 
@@ -538,7 +538,7 @@ MONDAY_S = datetime(2027, 3, 1, 6, 0).timestamp()
 DAY_S = 86_400.0
 
 
-class Kept:
+class Stored:
     """A history whose clock and faults the test sets; each look is a call."""
 
     def __init__(self, path: Path | None) -> None:
@@ -570,178 +570,182 @@ class Kept:
 
 
 @pytest.fixture
-def kept(tmp_path: Path) -> Iterator[Kept]:
-    found = Kept(history_file(tmp_path / "out", "press 4 / left"))
-    yield found
-    found.history.close()
-    found.history._close_link()
+def stored(tmp_path: Path) -> Iterator[Stored]:
+    stored = Stored(history_file(tmp_path / "out", "press 4 / left"))
+    yield stored
+    stored.history.close()
+    stored.history._close_link()
 
 
-def test_a_week_of_shifts_survives_kills_and_is_summed_by_day_and_week(kept: Kept) -> None:
+def test_a_week_of_shifts_survives_kills_and_is_summed_by_day_and_week(stored: Stored) -> None:
     for day in range(7):
         for shift in range(3):
-            kept.now_s = MONDAY_S + day * DAY_S + shift * 3600.0
-            kept.begin()
+            stored.now_s = MONDAY_S + day * DAY_S + shift * 3600.0
+            stored.begin()
             for number in range(40):
                 named = "box" if number % 10 == 0 else "ball"
-                kept.add(part(named, presented="ball", seconds=4.0 + shift))
-            kept.add(part("UNKNOWN", presented="pin", rejected=True))
-            kept.add(part(""))
-            kept.look()
-            kept.fault(301 + shift, "a servo is hot")
-            kept.look()
-    found = kept.history.values()
+                stored.add(part(named, presented="ball", seconds=4.0 + shift))
+            stored.add(part("UNKNOWN", presented="pin", rejected=True))
+            stored.add(part(""))
+            stored.look()
+            stored.fault(301 + shift, "a servo is hot")
+            stored.look()
+    values = stored.history.values()
     day = {"parts": 123, "rejected": 3, "missed": 3, "faults": 3, "starts": 3}
-    assert {name: found["today"][name] for name in day} == day
-    assert {name: found["yesterday"][name] for name in day} == day
-    assert {name: found["week"][name] for name in day} == {k: 7 * v for k, v in day.items()}
-    assert found["today"]["cycle_s"] == pytest.approx((3 * 4.0 + 40 * (4.0 + 5.0 + 6.0)) / 123)
-    assert found["today"]["confused"] == [
+    assert {name: values["today"][name] for name in day} == day
+    assert {name: values["yesterday"][name] for name in day} == day
+    assert {name: values["week"][name] for name in day} == {k: 7 * v for k, v in day.items()}
+    assert values["today"]["cycle_s"] == pytest.approx((3 * 4.0 + 40 * (4.0 + 5.0 + 6.0)) / 123)
+    assert values["today"]["confused"] == [
         {"held": "ball", "named": "box", "n": 12, "confirmed": True}
     ]
-    assert kept.path is not None
-    rows = read_day(kept.path, date(2027, 3, 7))
+    assert stored.path is not None
+    rows = read_day(stored.path, date(2027, 3, 7))
     assert [row["fault_number"] for row in rows if row["kind"] == "fault"] == [301, 302, 303]
     assert rows[-1]["text"] == "a servo is hot"
-    assert read_day(kept.path, date(2027, 3, 8)) == []
+    assert read_day(stored.path, date(2027, 3, 8)) == []
     # A new week begins on Monday.
-    kept.now_s = MONDAY_S + 7 * DAY_S
-    found = kept.look()
-    assert (found["today"]["parts"], found["yesterday"]["parts"]) == (0, 123)
-    assert found["week"]["parts"] == 0
-    assert kept.notes == []
+    stored.now_s = MONDAY_S + 7 * DAY_S
+    values = stored.look()
+    assert (values["today"]["parts"], values["yesterday"]["parts"]) == (0, 123)
+    assert values["week"]["parts"] == 0
+    assert stored.notes == []
 
 
-def test_a_shift_goes_on_after_a_restart_and_ends_with_its_hours(kept: Kept) -> None:
+def test_a_shift_goes_on_after_a_restart_and_ends_with_its_hours(stored: Stored) -> None:
     def figures() -> tuple[Any, ...]:
-        found = kept.shift.values()
+        values = stored.shift.values()
         names = ("parts", "rejected", "missed", "faults", "cycle_s", "parts_last_hour", "counts")
-        return (found["since_s"] - MONDAY_S, *(found[name] for name in names))
+        return (values["since_s"] - MONDAY_S, *(values[name] for name in names))
 
     def work(seconds: float) -> None:
-        now = {"time_s": kept.now_s}
+        now = {"time_s": stored.now_s}
         pin, box = part("pin", seconds=seconds, **now), part("box", rejected=True, **now)
         for report in (pin, box, part("", **now)):
-            kept.history.add(report)
-            kept.shift.add(report)
-        kept.fault(301, "a servo is hot")
-        kept.look()
+            stored.history.add(report)
+            stored.shift.add(report)
+        stored.fault(301, "a servo is hot")
+        stored.look()
 
     work(3.0)
-    kept.now_s += 3600.0
-    kept.begin()
+    stored.now_s += 3600.0
+    stored.begin()
     assert figures()[1] == 0
-    kept.look()
+    stored.look()
     assert figures() == (0.0, 2, 1, 1, 1, 3.5, 0, {"pin": 1, "box": 1})
     work(5.0)
     before = figures()
     assert before == (0.0, 4, 2, 2, 2, 4.0, 2, {"pin": 2, "box": 2})
-    kept.begin()
-    kept.shift.add(part("pin", time_s=kept.now_s))  # a part before the disk has answered
-    kept.look()
+    stored.begin()
+    stored.shift.add(part("pin", time_s=stored.now_s))  # a part before the disk has answered
+    stored.look()
     assert figures()[1:5] == (5, 2, 2, 2)
-    kept.look()
+    stored.look()
     assert figures()[1] == 5
     # A night shift has two days; nothing of the late shift counts.
-    kept.now_s = MONDAY_S + 16.5 * 3600.0
-    kept.begin()
+    stored.now_s = MONDAY_S + 16.5 * 3600.0
+    stored.begin()
     work(3.0)
-    kept.now_s = MONDAY_S + 20.0 * 3600.0
-    kept.begin()
-    kept.look()
+    stored.now_s = MONDAY_S + 20.0 * 3600.0
+    stored.begin()
+    stored.look()
     assert figures()[:3] == (16.5 * 3600.0, 2, 1)
-    kept.now_s = MONDAY_S + 24.0 * 3600.0
-    kept.look()
-    kept.fault(301, "a servo is hot")  # before anybody asks for the figures
-    kept.now_s += 600.0
+    stored.now_s = MONDAY_S + 24.0 * 3600.0
+    stored.look()
+    stored.fault(301, "a servo is hot")  # before anybody asks for the figures
+    stored.now_s += 600.0
     assert figures()[1:5] == (0, 0, 0, 1)
 
 
-def test_the_sums_have_each_row_before_the_disk_has_it(kept: Kept) -> None:
-    kept.add(part())
-    kept.look()
+def test_the_sums_have_each_row_before_the_disk_has_it(stored: Stored) -> None:
+    stored.add(part())
+    stored.look()
     for report in (part(), part("")):
-        kept.add(report)
-    kept.fault(301, "a servo is hot")
+        stored.add(report)
+    stored.fault(301, "a servo is hot")
     names = ("parts", "missed", "faults")
     expected = {"parts": 2, "missed": 1, "faults": 1}
-    for found in (kept.history.values(), kept.look()):
-        assert {name: found["today"][name] for name in names} == expected
+    for values in (stored.history.values(), stored.look()):
+        assert {name: values["today"][name] for name in names} == expected
 
 
-def test_a_fault_of_the_start_is_in_the_history(kept: Kept) -> None:
-    kept.fault(506, "a part is in the grip")
-    kept.history = History(kept.path, lambda: kept.state, wall_s=lambda: kept.now_s)
-    kept.look()
-    assert kept.history.values()["today"]["faults"] == 1
+def test_a_fault_of_the_start_is_in_the_history(stored: Stored) -> None:
+    stored.fault(506, "a part is in the grip")
+    stored.history = History(stored.path, lambda: stored.state, wall_s=lambda: stored.now_s)
+    stored.look()
+    assert stored.history.values()["today"]["faults"] == 1
 
 
-def test_without_a_word_what_was_held_the_second_label_counts_where_it_is_near(kept: Kept) -> None:
+def test_without_a_word_what_was_held_the_second_label_counts_where_it_is_near(
+    stored: Stored,
+) -> None:
     for _ in range(3):
-        kept.add(part("pin"))  # the second has 0.1
-    assert kept.look()["today"]["confused"] == [
+        stored.add(part("pin"))  # the second has 0.1
+    assert stored.look()["today"]["confused"] == [
         {"held": "ball", "named": "pin", "n": 3, "confirmed": False}
     ]
 
 
-def test_a_clock_that_leaps_loses_no_day(kept: Kept) -> None:
-    kept.add(part())
-    kept.look()
+def test_a_clock_that_leaps_loses_no_day(stored: Stored) -> None:
+    stored.add(part())
+    stored.look()
     for leap_s in (3650 * DAY_S, -20 * 365 * DAY_S):
-        kept.now_s += leap_s
-        kept.add(part())
-        assert kept.look()["today"]["parts"] == 1
-    assert kept.path is not None
-    assert len(read_day(kept.path, date(2027, 3, 1))) == 2
+        stored.now_s += leap_s
+        stored.add(part())
+        assert stored.look()["today"]["parts"] == 1
+    assert stored.path is not None
+    assert len(read_day(stored.path, date(2027, 3, 1))) == 2
 
 
-def test_the_first_days_go_when_there_are_many(kept: Kept, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_first_days_go_when_there_are_many(
+    stored: Stored, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(history, "KEPT_DAYS", 3)
     for day in range(5):
-        kept.now_s = MONDAY_S + day * DAY_S
-        kept.add(part())
-        kept.look()
-    assert kept.path is not None
-    left = [bool(read_day(kept.path, date(2027, 3, 1 + day))) for day in range(5)]
+        stored.now_s = MONDAY_S + day * DAY_S
+        stored.add(part())
+        stored.look()
+    assert stored.path is not None
+    left = [bool(read_day(stored.path, date(2027, 3, 1 + day))) for day in range(5)]
     assert left == [False, False, True, True, True]
 
 
-def test_a_disk_that_takes_nothing_is_noted_once_and_gets_the_rows_later(kept, tmp_path) -> None:
+def test_a_disk_that_takes_nothing_is_noted_once_and_gets_the_rows_later(stored, tmp_path) -> None:
     (tmp_path / "out").write_text("a file in the place of the folder")
     for _ in range(3):
-        kept.add(part())
-        assert kept.look() == {}
-    assert len(kept.notes) == 1
-    assert "the history is not kept" in kept.notes[0]
+        stored.add(part())
+        assert stored.look() == {}
+    assert len(stored.notes) == 1
+    assert "the history is not kept" in stored.notes[0]
     (tmp_path / "out").unlink()
-    assert kept.look()["today"]["parts"] == 3
-    assert kept.path is not None
-    with closing(sqlite3.connect(kept.path)) as other:  # a program that holds it for a while
+    assert stored.look()["today"]["parts"] == 3
+    assert stored.path is not None
+    with closing(sqlite3.connect(stored.path)) as other:  # a program that holds it for a while
         other.execute("BEGIN EXCLUSIVE")
-        kept.add(part())
-        kept.look()
-        assert "locked" in kept.notes[-1]
-    assert kept.look()["today"]["parts"] == 4
+        stored.add(part())
+        stored.look()
+        assert "locked" in stored.notes[-1]
+    assert stored.look()["today"]["parts"] == 4
 
 
-def test_a_damaged_file_and_one_of_another_version_are_left_as_they_are(kept: Kept) -> None:
-    kept.look()
-    kept.history._close_link()
-    with closing(sqlite3.connect(kept.path)) as link:
+def test_a_damaged_file_and_one_of_another_version_are_left_as_they_are(stored: Stored) -> None:
+    stored.look()
+    stored.history._close_link()
+    with closing(sqlite3.connect(stored.path)) as link:
         link.execute("PRAGMA user_version = 1")
-    other = kept.path.read_bytes()
+    other = stored.path.read_bytes()
     for content, cause in (
         (b"no data base at all, but long enough to be looked at" * 100, "not a database"),
         (other, "has a table of version 1, but tactile-cell"),
     ):
-        kept.path.write_bytes(content)
-        kept.add(part())
-        kept.look()
-        assert cause in kept.notes[-1]
-        assert "move a damaged file away" in kept.notes[-1]
-        assert kept.path.read_bytes() == content
+        stored.path.write_bytes(content)
+        stored.add(part())
+        stored.look()
+        assert cause in stored.notes[-1]
+        assert "move a damaged file away" in stored.notes[-1]
+        assert stored.path.read_bytes() == content
     with pytest.raises(CellError, match="cannot read the history"):
-        read_day(kept.path.with_name("none.sqlite3"), date(2027, 3, 1))
+        read_day(stored.path.with_name("none.sqlite3"), date(2027, 3, 1))
 
 
 @pytest.mark.slow

@@ -305,8 +305,8 @@ def test_factory_new_servos_share_an_id_and_are_found_to() -> None:
     for baudrate, ids in ((1_000_000, []), (57600, [1])):
         cell.devices.servo_bus.baudrate = baudrate
         bus = ServoBus(cell.open_servo_port(), baudrate=baudrate, clock=cell.clock)
-        found, damaged = bus.scan_at_once()
-        assert ([one.servo_id for one in found], damaged) == (ids, False)
+        present, damaged = bus.scan_at_once()
+        assert ([one.servo_id for one in present], damaged) == (ids, False)
     assert bus.shares_id(1)
     cell.inject("servo2.off")
     assert not bus.shares_id(1)

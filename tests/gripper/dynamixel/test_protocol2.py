@@ -13,7 +13,7 @@ def with_crc(text: str) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("data", "found"),
+    ("data", "packet"),
     [
         ("FFFFFD00010B005500FFFFFDFDFFFDFD5460", "fffffdfffdfd"),
         ("FFFFFD0001040055", None),
@@ -24,14 +24,16 @@ def with_crc(text: str) -> bytes:
         (with_crc("FFFFFD0001030055").hex(), None),
     ],
 )
-def test_a_packet_is_found_whole_or_not_at_all(script, clock, data: str, found: str | None) -> None:
+def test_a_packet_is_found_whole_or_not_at_all(
+    script, clock, data: str, packet: str | None
+) -> None:
     port, handler = SdkPort(script, clock), CheckedPacketHandler()
     wire, good = bytes.fromhex(data), with_crc("FFFFFD00020500550077")
     script.arriving = [(0.0, wire + good)]
     port.start_timeout(0.001)
     status = handler.receive(port)
-    if found is not None:
-        assert (status.servo_id, status.data.hex(), handler.dropped) == (1, found, b"")
+    if packet is not None:
+        assert (status.servo_id, status.data.hex(), handler.dropped) == (1, packet, b"")
         status, wire = handler.receive(port), b""
     assert (status.servo_id, status.data, handler.dropped) == (2, b"\x77", wire)
     assert handler.receive(port) is None

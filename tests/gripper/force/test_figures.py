@@ -41,15 +41,15 @@ MOST_FIGURES, MOST_LINES = 142, 3062
 
 
 def test_each_figure_names_its_source_and_neither_figures_nor_lines_grow() -> None:
-    found, counted, lines = {}, 0, 0
+    by_file, counted, lines = {}, 0, 0
     for path in FOLDER.rglob("*.py"):
         text = path.read_text("utf-8")
         lines += code_lines(text)
         for names, doc in figures(text):
             counted += names.count(",") + 1
             source = re.search(rf"[\w)`%]\.\s{SOURCES}$", doc)
-            found[f"{path.relative_to(FOLDER)}: {names}"] = source
-    assert [name for name, source in found.items() if source is None] == []
+            by_file[f"{path.relative_to(FOLDER)}: {names}"] = source
+    assert [name for name, source in by_file.items() if source is None] == []
     assert 0 < counted <= MOST_FIGURES
     assert 0 < lines <= MOST_LINES
 

@@ -219,9 +219,9 @@ def test_levels_are_watched_for_a_slip_unless_the_part_is_in_doubt(monkeypatch) 
     for suspicious in (True, False):
         step = GripStep(SETTINGS, control(suspicious=suspicious), STAIRS, slip=slip)
         HoldStep(SETTINGS, control(suspicious=suspicious), 0.1).step(MOMENT)
-        shown = [step.step(MOMENT).level for _ in range(30)]
-        assert set(shown) == {None, 0}
-        assert levels == ([] if suspicious else [0, *shown])
+        watched = [step.step(MOMENT).level for _ in range(30)]
+        assert set(watched) == {None, 0}
+        assert levels == ([] if suspicious else [0, *watched])
     change = GripStep(SETTINGS, control(), STAIRS)
     assert {change.step(MOMENT).level for _ in range(30)} == {None}
     with pytest.raises(PartLost, match=r"at an opening of 23\.4 mm"):

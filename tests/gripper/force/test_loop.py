@@ -112,13 +112,17 @@ def test_quantiles_are_right_to_a_bin() -> None:
     histogram = Histogram()
     for duration_s in durations_s:
         histogram.add(float(duration_s))
-    found = histogram.distribution()
-    assert found.n == 20_000
-    for share, value_s in ((0.5, found.p50_s), (0.99, found.p99_s), (0.999, found.p999_s)):
+    distribution = histogram.distribution()
+    assert distribution.n == 20_000
+    for share, value_s in (
+        (0.5, distribution.p50_s),
+        (0.99, distribution.p99_s),
+        (0.999, distribution.p999_s),
+    ):
         exact_s = float(np.quantile(durations_s, share))
         assert exact_s <= value_s * 1.005
         assert value_s <= exact_s * 1.08
-    assert found.max_s == durations_s.max()
+    assert distribution.max_s == durations_s.max()
 
 
 @pytest.mark.parametrize(

@@ -91,13 +91,13 @@ def free_points(
 def test_four_speeds_in_both_directions_show_the_friction_at_rest(name: str) -> None:
     gearing = GEARINGS[name]
     offset_a = 0.03 * gearing.free_a(0.0)
-    found = fit_friction(free_points(gearing, offset_a=offset_a), CATALOGUE)
+    fitted = fit_friction(free_points(gearing, offset_a=offset_a), CATALOGUE)
     true_a = gearing.free_a(0.0)
-    assert found.measured
-    assert found.breakaway_a == pytest.approx(true_a, rel=0.1)
-    assert found.offset_a == pytest.approx(offset_a, abs=0.02 * true_a)
+    assert fitted.measured
+    assert fitted.breakaway_a == pytest.approx(true_a, rel=0.1)
+    assert fitted.offset_a == pytest.approx(offset_a, abs=0.02 * true_a)
     for speed in SPEEDS_RAD_S:
-        assert found.friction_a(speed) == pytest.approx(gearing.free_a(speed), rel=0.05)
+        assert fitted.friction_a(speed) == pytest.approx(gearing.free_a(speed), rel=0.05)
 
 
 def test_one_motion_shows_friction_and_leaves_the_rest_uncertain() -> None:
@@ -112,10 +112,10 @@ def test_what_was_measured_is_a_prior_that_new_motions_refine() -> None:
     gearing = GEARINGS["XL330"]
     first = fit_friction(free_points(gearing), CATALOGUE)
     colder = replace(gearing, base_nm=tuple(1.1 * nm for nm in gearing.base_nm))
-    kept = replace(first, friction_sd=0.2)
-    found = fit_friction(free_points(colder, speeds=(0.25,)), kept)
-    assert found.friction_a(0.25) == pytest.approx(colder.free_a(0.25), rel=0.04)
-    assert fit_friction([], kept) is kept
+    prior = replace(first, friction_sd=0.2)
+    fitted = fit_friction(free_points(colder, speeds=(0.25,)), prior)
+    assert fitted.friction_a(0.25) == pytest.approx(colder.free_a(0.25), rel=0.04)
+    assert fit_friction([], prior) is prior
 
 
 def test_currents_that_fall_with_the_speed_show_no_friction_that_drives() -> None:
@@ -152,18 +152,18 @@ def test_a_press_shows_amperes_for_each_newton_of_both_directions(name: str) -> 
     gearing = GEARINGS[name]
     before = fit_friction(free_points(gearing), CATALOGUE)
     rising, falling = (load_points(gearing, rises=one, seed=2) for one in (True, False))
-    found = fit_load(rising, falling, before)
+    fitted = fit_load(rising, falling, before)
     slopes = [
         (gearing.loaded_a(9.0, rises=one) - gearing.loaded_a(8.0, rises=one))
         for one in (True, False)
     ]
     driven = gearing.driven_share()
-    assert found.rising_a_nm == pytest.approx(slopes[0], rel=0.1)
-    assert found.falling_a_nm == pytest.approx(slopes[1], rel=0.1)
-    assert found.yielding_share == pytest.approx((1.0 - driven) / (1.0 + driven), rel=0.15)
-    assert found.breakaway_a == pytest.approx(gearing.loaded_a(0.0, rises=True), rel=0.1)
-    assert found.load_sd <= 0.1
-    assert found.kt_nm_a == before.kt_nm_a, "no pad moves the motor constant"
+    assert fitted.rising_a_nm == pytest.approx(slopes[0], rel=0.1)
+    assert fitted.falling_a_nm == pytest.approx(slopes[1], rel=0.1)
+    assert fitted.yielding_share == pytest.approx((1.0 - driven) / (1.0 + driven), rel=0.15)
+    assert fitted.breakaway_a == pytest.approx(gearing.loaded_a(0.0, rises=True), rel=0.1)
+    assert fitted.load_sd <= 0.1
+    assert fitted.kt_nm_a == before.kt_nm_a, "no pad moves the motor constant"
 
 
 def test_too_little_of_a_press_leaves_what_was_known() -> None:
@@ -185,15 +185,15 @@ def test_the_back_emf_anchors_the_motor_constant_and_no_pad_does(factor: float) 
     points = [voltage_v(MODEL, one, k_e) for one in free_points(GEARINGS["MX-64"])]
     found_v_s = fit_back_emf(points, MODEL)
     assert found_v_s == pytest.approx(k_e, rel=0.02)
-    found = anchored(CATALOGUE, MODEL, found_v_s)
-    assert found.kt_nm_a == pytest.approx(factor * MODEL.kt_nm_a, rel=0.02)
-    assert found.kt_sd < CATALOGUE.kt_sd
-    weak_motor = replace(found, rising_a_nm=1.0 / found.kt_nm_a, load_sd=0.02)
+    result = anchored(CATALOGUE, MODEL, found_v_s)
+    assert result.kt_nm_a == pytest.approx(factor * MODEL.kt_nm_a, rel=0.02)
+    assert result.kt_sd < CATALOGUE.kt_sd
+    weak_motor = replace(result, rising_a_nm=1.0 / result.kt_nm_a, load_sd=0.02)
     assert disagreement([weak_motor]) == 0.0
-    weak_pads = replace(weak_motor, rising_a_nm=1.4 / found.kt_nm_a)
+    weak_pads = replace(weak_motor, rising_a_nm=1.4 / result.kt_nm_a)
     assert disagreement([weak_pads]) < 0.0
     # The pads may be wrong: the cap goes by what makes more force.
-    assert weak_pads.most_torque_nm_a == pytest.approx(found.kt_nm_a, rel=1e-6)
+    assert weak_pads.most_torque_nm_a == pytest.approx(result.kt_nm_a, rel=1e-6)
 
 
 def test_two_servos_that_disagree_alike_show_what_one_leaves_open() -> None:
@@ -233,24 +233,24 @@ def test_a_gearing_that_loses_much_lowers_the_torque_of_its_back_emf(
         load_sd=0.02,
         falling_sd=0.05,
     )
-    found = anchored(drive, MODEL, 2.86)
-    assert found.kt_nm_a == pytest.approx(kt_nm_a), "whatever the pads' gain is"
-    assert 0.1 < found.kt_sd < CATALOGUE.kt_sd
+    result = anchored(drive, MODEL, 2.86)
+    assert result.kt_nm_a == pytest.approx(kt_nm_a), "whatever the pads' gain is"
+    assert 0.1 < result.kt_sd < CATALOGUE.kt_sd
     # An uncertain line of the falling load says less, but the catalogue says nothing.
     unsure = anchored(replace(drive, falling_sd=0.4), MODEL, 2.86)
-    assert unsure.kt_nm_a == found.kt_nm_a
+    assert unsure.kt_nm_a == result.kt_nm_a
     assert unsure.kt_sd > CATALOGUE.kt_sd
 
 
 def test_pads_under_weights_anchor_the_motor_constant_by_its_back_emf() -> None:
     measured = replace(CATALOGUE, rising_a_nm=1.2 / MODEL.kt_nm_a, load_sd=0.02, back_emf_v_s=2.0)
-    found = weighed(measured)
-    assert found.kt_nm_a == pytest.approx(MODEL.kt_nm_a / 1.2)
-    assert anchored(found, MODEL, 2.0).kt_nm_a == pytest.approx(found.kt_nm_a)
+    result = weighed(measured)
+    assert result.kt_nm_a == pytest.approx(MODEL.kt_nm_a / 1.2)
+    assert anchored(result, MODEL, 2.0).kt_nm_a == pytest.approx(result.kt_nm_a)
     # A magnet that is weaker moves it, a pad does not.
-    assert anchored(found, MODEL, 1.8).kt_nm_a == pytest.approx(0.9 * found.kt_nm_a)
-    weak_pads = anchored(replace(found, rising_a_nm=1.2 * found.rising_a_nm), MODEL, 2.0)
-    assert weak_pads.kt_nm_a == pytest.approx(found.kt_nm_a)
+    assert anchored(result, MODEL, 1.8).kt_nm_a == pytest.approx(0.9 * result.kt_nm_a)
+    weak_pads = anchored(replace(result, rising_a_nm=1.2 * result.rising_a_nm), MODEL, 2.0)
+    assert weak_pads.kt_nm_a == pytest.approx(result.kt_nm_a)
     assert disagreement([weak_pads]) < 0.0
     assert weighed(CATALOGUE) == CATALOGUE, "nothing was pressed, and no back-EMF measured"
 

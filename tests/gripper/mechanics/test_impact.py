@@ -66,16 +66,16 @@ def test_the_default_speed_is_below_what_the_default_cap_allows() -> None:
 )
 def test_mass_stiffness_lever_and_current_set_the_speed(change, linkage, faster) -> None:
     plain = impact_limit(SETTINGS, LINKAGE).pad_speed_m_s()
-    found = impact_limit(replace(SETTINGS, **change), linkage).pad_speed_m_s()
-    assert (found > plain) is faster
+    speed_m_s = impact_limit(replace(SETTINGS, **change), linkage).pad_speed_m_s()
+    assert (speed_m_s > plain) is faster
 
 
 def test_a_cap_below_which_nothing_stops_is_refused_and_the_remedy_works() -> None:
     low = replace(SETTINGS, force_max_n=2.0)
     with pytest.raises(LimitExceeded, match=r"force_max_n is 2 N: .* Raise") as error:
         check_approach(low, LINKAGE)
-    found = re.search(r"Raise force_max_n to ([0-9.]+) N", str(error.value))
-    assert check_approach(replace(low, force_max_n=float(found[1])), LINKAGE) >= 0.004
+    remedy = re.search(r"Raise force_max_n to ([0-9.]+) N", str(error.value))
+    assert check_approach(replace(low, force_max_n=float(remedy[1])), LINKAGE) >= 0.004
 
 
 def test_a_config_is_refused_or_slowed_with_the_reason() -> None:
@@ -111,11 +111,11 @@ def test_the_limit_stands_beside_the_write_and_not_in_the_caller_alone() -> None
         GoalGuard, "bounded", lambda _self, goals, _state, **_how: tuple(goals)
     )
     with as_asked:
-        kept = force_cap.trial(9008, HARMED)
+        written = force_cap.trial(9008, HARMED)
         with unguarded:
             passed = force_cap.trial(9008, HARMED)
     assert passed.broken, "the caller alone does not pass the cap: nothing is shown"
-    assert not kept.broken, str(kept)
+    assert not written.broken, str(written)
 
 
 def test_a_new_drive_counts_at_once_and_equal_angles_are_computed_once() -> None:

@@ -16,13 +16,13 @@ PERIOD_MS = 5
 def speeds(ways_rad, *, dither=0.0, seed=1, start_ms=32_700) -> list[float]:
     """Return the speeds by rounded positions, one each 5 ms; None is a lost answer."""
     motion, rng = ServoMotion(XM430_W350), random.Random(seed)
-    found = []
+    measured = []
     for index, rad in enumerate(ways_rad):
         if rad is not None:
             count = round(rad / COUNT_RAD + rng.gauss(0.0, dither))
             tick_ms = (start_ms + index * PERIOD_MS) % TICK_MODULO
-            found.append(motion.speed_rad_s(tick_ms, count * COUNT_RAD))
-    return found
+            measured.append(motion.speed_rad_s(tick_ms, count * COUNT_RAD))
+    return measured
 
 
 def ramp(*rates_rad_s: float, periods: int = 60) -> list[float]:
@@ -61,22 +61,22 @@ def test_a_steady_speed_is_as_exact_as_at_rest(rate_rad_s) -> None:
     [(0.0, 0.2, 12), (0.0, 0.4, 8), (0.3, 0.0, 8), (0.5, 0.0, 6), (-0.4, 0.4, 6)],
 )
 def test_a_large_change_shows_early(before_rad_s, after_rad_s, periods) -> None:
-    found = speeds(ramp(before_rad_s, after_rad_s))[60:]
-    late = [abs(one - after_rad_s) > 0.25 * abs(after_rad_s - before_rad_s) for one in found]
+    measured = speeds(ramp(before_rad_s, after_rad_s))[60:]
+    late = [abs(one - after_rad_s) > 0.25 * abs(after_rad_s - before_rad_s) for one in measured]
     assert not any(late[periods:])
     assert sum(late) >= 2
 
 
 def test_the_speed_of_the_next_reading_follows_an_acceleration_at_once() -> None:
     motion, period_s, faster_rad_s2 = ServoMotion(XM430_W350), 1e-2, 25.0
-    found: list[tuple[float, float, float]] = []
+    readings: list[tuple[float, float, float]] = []
     for index in range(-20, 5):
         run_s = max(0.0, index * period_s)
         rad = round(0.5 * faster_rad_s2 * run_s**2 / COUNT_RAD) * COUNT_RAD
         speed_rad_s = motion.speed_rad_s(1000 + 10 * index, rad)
-        found.append((faster_rad_s2 * (run_s + period_s), motion.next_rad_s, speed_rad_s))
-    assert all(following == speed == 0.0 for _, following, speed in found[:21])
-    for true, following, speed in found[22:]:
+        readings.append((faster_rad_s2 * (run_s + period_s), motion.next_rad_s, speed_rad_s))
+    assert all(following == speed == 0.0 for _, following, speed in readings[:21])
+    for true, following, speed in readings[22:]:
         assert following == pytest.approx(true, rel=0.45)
         assert speed < 0.6 * following
 

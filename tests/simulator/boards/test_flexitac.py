@@ -100,13 +100,13 @@ def test_a_press_shows_in_its_row_and_column_as_well(world) -> None:
 
 
 def test_the_law_is_compressive_and_a_falling_force_shows_more_than_a_rising_one(world) -> None:
-    board, shown = pads(world), []
+    board, counts = pads(world), []
     for force_n in (1.0, 2.0, 4.0, 1.0, 0.0, 40.0):
         world.force_n[100] = force_n
-        shown.append(int(board.scan()[100]) - 20)
-    assert shown[1] - shown[0] < shown[0]
-    assert shown[3] > shown[0] + 2
-    assert shown[4:] == [0, 255 - 20]
+        counts.append(int(board.scan()[100]) - 20)
+    assert counts[1] - counts[0] < counts[0]
+    assert counts[3] > counts[0] + 2
+    assert counts[4:] == [0, 255 - 20]
 
 
 def test_the_clock_needs_no_reader() -> None:

@@ -50,10 +50,10 @@ def echo_bus(faults: CanLinkFaults | None = None) -> tuple[Echo, InMemoryCanBus,
 
 
 def drain(bus: InMemoryCanBus) -> list[can.Message]:
-    found = []
+    received = []
     while (one := bus.recv(0.01)) is not None:
-        found.append(one)
-    return found
+        received.append(one)
+    return received
 
 
 def exact_bits(can_id: int, data: bytes) -> int:

@@ -169,21 +169,21 @@ def test_a_reset_brings_one_boot_up_and_the_defaults_back(line, command) -> None
     assert line.take() == [(HEARTBEAT, b"\x00")]
     assert line.unit.state == "PRE-OPERATIONAL"
     assert line.number(0x1017) == 0
-    kept = command == RESET_COMMUNICATION
-    assert line.number(0x2120, 1) == (77 if kept else 30)
+    unchanged = command == RESET_COMMUNICATION
+    assert line.number(0x2120, 1) == (77 if unchanged else 30)
     line.start()
-    assert line.frame().counter == (1 if kept else 0)
+    assert line.frame().counter == (1 if unchanged else 0)
 
 
 def forces(line: Line, seconds: float) -> list[ForceMessage]:
     line.take()
-    found = []
+    messages = []
     for _ in range(round(seconds / 0.001)):
         line.wait(0.001)
-        found += [
+        messages += [
             decode_force_message(d, line.now_s) for can_id, d in line.take() if can_id == 0x285
         ]
-    return found
+    return messages
 
 
 def test_a_force_message_waits_for_the_one_before_and_says_so(line) -> None:
@@ -191,9 +191,9 @@ def test_a_force_message_waits_for_the_one_before_and_says_so(line) -> None:
     assert line.write(*timer, 2, 2) == 0
     line.start()
     line.message_s = 0.005
-    found = forces(line, 0.06)
-    assert len(found) == 10
-    assert all(message.status & ForceStatus.OVERRUN for message in found[1:])
+    messages = forces(line, 0.06)
+    assert len(messages) == 10
+    assert all(message.status & ForceStatus.OVERRUN for message in messages[1:])
 
 
 def test_table_and_zero_need_a_right_checksum_and_can_be_read_back(line) -> None:
@@ -377,13 +377,13 @@ def test_the_sum_is_the_force_though_the_counts_are_not_linear(layout, calibrati
     n_first = layout.pads[layout.gripping_pads[0]].n_taxels
     middle = 5 * columns + 1
     pressed = {middle: 2.0, middle + 1: 1.0, n_first + middle: 2.5, n_first + middle + 1: 0.5}
-    found = unit.press(pressed, scans=20)
-    assert found.status == ForceStatus.ZEROED
-    assert found.force_n == pytest.approx((3.0, 3.0), abs=0.06)
+    measured = unit.press(pressed, scans=20)
+    assert measured.status == ForceStatus.ZEROED
+    assert measured.force_n == pytest.approx((3.0, 3.0), abs=0.06)
     rows = layout.pads[layout.gripping_pads[0]].rows
     along = 5 - 0.5 * (rows - 1)
     across = (1.0 * 4.5 + 2.0 * 1.5) / 6.0 - 0.5 * (columns - 1)
-    assert found.centre_taxels == pytest.approx((along, across), abs=0.08)
+    assert measured.centre_taxels == pytest.approx((along, across), abs=0.08)
 
 
 def test_a_touch_counts_within_a_few_scans_and_ends_with_the_load() -> None:
@@ -413,8 +413,8 @@ def test_noise_of_untouched_pads_is_no_force() -> None:
     for _ in range(3000):
         noise = np.clip(np.abs(10.0 * rng.standard_normal(unit.n)), 1.0, 20.0) - 8.0
         counts = np.rint(unit.zero + noise).astype(np.uint16)
-        found = decode_force_message(unit.forces.message(counts, ForceStatus(0)), 0.0)
-        assert found.force_n == (0.0, 0.0)
+        measured = decode_force_message(unit.forces.message(counts, ForceStatus(0)), 0.0)
+        assert measured.force_n == (0.0, 0.0)
 
 
 def test_neighbours_stand_in_for_a_taxel_that_fails() -> None:
@@ -430,8 +430,8 @@ def test_a_unit_without_table_or_zero_says_so_and_full_scale_too() -> None:
     assert unit.press({4: 60.0}).status & ForceStatus.SATURATED
     assert not Unit(layout, calibration, bad=(4,)).press({4: 60.0}).status & ForceStatus.SATURATED
     unit.forces.reset()
-    found = unit.press({4: 1.0})
-    assert (found.status, found.force_n) == (ForceStatus(0), (0.0, 0.0))
+    measured = unit.press({4: 1.0})
+    assert (measured.status, measured.force_n) == (ForceStatus(0), (0.0, 0.0))
 
 
 @pytest.mark.parametrize(

@@ -92,10 +92,10 @@ def test_what_is_no_fault_is_refused_and_changes_nothing(cell, text, complaint) 
 @settings(max_examples=60)
 def test_any_text_is_a_fault_or_refused(text) -> None:
     try:
-        found = check_fault(text)
+        fault = check_fault(text)
     except SimulatorSettingsError:
         return
-    assert found.text.startswith(found.entry.name.partition(".")[0].removesuffix("N"))
+    assert fault.text.startswith(fault.entry.name.partition(".")[0].removesuffix("N"))
 
 
 @pytest.mark.parametrize(

@@ -95,9 +95,9 @@ def test_the_measured_current_has_the_noise_of_the_logs(model, speed_rad_s, sd_a
     motor.drive(DriveCommand(OperatingMode.CURRENT, current_a=0.2))
     for _ in range(100):
         motor.torque_nm(STEP_S)
-    found = [motor.measured_a() for _ in range(1000)]
-    assert mean(found) == pytest.approx(0.2, abs=2e-3)
-    assert pstdev(found) == pytest.approx(sd_a, rel=0.1)
+    measured = [motor.measured_a() for _ in range(1000)]
+    assert mean(measured) == pytest.approx(0.2, abs=2e-3)
+    assert pstdev(measured) == pytest.approx(sd_a, rel=0.1)
     motor.drive(DriveCommand())
     motor.torque_nm(STEP_S)
     assert motor.measured_a() == 0.0
@@ -111,9 +111,9 @@ def test_the_supply_of_a_330_size_that_holds_has_the_noise_of_the_logs(duty, sd_
     motor.voltage_v = 7.3
     motor.drive(DriveCommand(OperatingMode.PWM, duty=duty))
     motor.torque_nm(STEP_S)
-    found = [motor.measured_v() for _ in range(1000)]
-    assert mean(found) == pytest.approx(7.3, abs=0.1)
-    assert pstdev(found) == pytest.approx(sd_v, rel=0.1)
+    measured = [motor.measured_v() for _ in range(1000)]
+    assert mean(measured) == pytest.approx(7.3, abs=0.1)
+    assert pstdev(measured) == pytest.approx(sd_v, rel=0.1)
 
 
 def test_noise_is_that_of_its_seed_and_a_servo_without_it_measures_exactly():

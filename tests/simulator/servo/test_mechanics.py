@@ -317,14 +317,14 @@ def test_the_servos_of_a_cell_are_drawn_by_its_seed_and_their_ids():
 def test_drawn_xm430_w350_are_within_the_spread_of_real_ones():
     drives = [drawn_gearing(XM430_W350, str(seed)).drive for seed in range(200)]
     friction_ma = [1e3 * one.friction.base_nm / one.kt_nm_a for one in drives]
-    for found, low, high in (
+    for drawn, low, high in (
         (friction_ma, 18.0, 82.0),
         ([one.kt_nm_a for one in drives], 1.65, 1.95),
         ([one.breakaway for one in drives], 1.3, 1.8),
         ([one.inertia_kg_m2 for one in drives], 0.003, 0.006),
     ):
-        assert low <= min(found) < low + 0.2 * (high - low)
-        assert high - 0.2 * (high - low) < max(found) <= high
+        assert low <= min(drawn) < low + 0.2 * (high - low)
+        assert high - 0.2 * (high - low) < max(drawn) <= high
 
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=lambda m: m.name)
@@ -373,8 +373,8 @@ def press(mechanics, wall_m, stiffness_n_m, duration_s, dt_s=STEP_S, *, implicit
     for _ in range(round(duration_s / dt_s)):
         depths = [max(0.0, wall_m - x) for x in mechanics.finger_position_m]
         force = (stiffness_n_m * depths[0], stiffness_n_m * depths[1])
-        felt = tuple(stiffness_n_m if d > 0.0 else 0.0 for d in depths)
-        mechanics.step(dt_s, force, felt if implicit else (0.0, 0.0))
+        stiffnesses = tuple(stiffness_n_m if d > 0.0 else 0.0 for d in depths)
+        mechanics.step(dt_s, force, stiffnesses if implicit else (0.0, 0.0))
     return force
 
 

@@ -111,8 +111,8 @@ def test_a_dumbbell_is_thin_in_the_middle_and_rounded_at_its_ends() -> None:
 def test_shapes_are_read_from_text(text, shape) -> None:
     # Off the grid's points, so that none lies on a rim.
     x_m, y_m = (a + 0.013e-3 for a in GRID)
-    found, wanted = (one.heights(x_m, y_m, 0.0) for one in (parse_shape(text), shape))
-    np.testing.assert_allclose(found, wanted, atol=1e-9)
+    read, wanted = (one.heights(x_m, y_m, 0.0) for one in (parse_shape(text), shape))
+    np.testing.assert_allclose(read, wanted, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -168,8 +168,8 @@ def test_a_mesh_of_a_box_is_that_box(stl) -> None:
     box = Box(length_m=16e-3, width_m=10e-3, height_m=6e-3)
     x_m, y_m = (a + 0.01e-3 for a in GRID)
     for roll_rad in (0.0, 0.5 * math.pi):
-        found, wanted = (one.heights(x_m, y_m, roll_rad) for one in (shape, box))
-        np.testing.assert_allclose(found, wanted, atol=1e-9)
+        heights, wanted = (one.heights(x_m, y_m, roll_rad) for one in (shape, box))
+        np.testing.assert_allclose(heights, wanted, atol=1e-9)
     assert shape.roll_step_rad == 0.0
 
 
@@ -178,8 +178,8 @@ def test_a_mesh_is_the_same_whole_and_in_pieces(stl, monkeypatch) -> None:
     whole = mesh.heights(*GRID, 0.3)
     exact = Ellipsoid(length_m=10e-3, width_m=10e-3, height_m=10e-3).heights(*GRID, 0.3)
     within = np.hypot(*GRID) < 4.5e-3
-    for found, right in zip(whole, exact, strict=True):
-        assert found[within] == pytest.approx(right[within], abs=0.1e-3)
+    for height, right in zip(whole, exact, strict=True):
+        assert height[within] == pytest.approx(right[within], abs=0.1e-3)
     monkeypatch.setattr(shape_files, "_PAIRS", 100)
     assert np.array_equal(mesh.heights(*GRID, 0.3), whole)
 
@@ -207,12 +207,12 @@ def test_a_mesh_as_programs_export_it_is_read(stl, text) -> None:
 
 
 @pytest.mark.parametrize(
-    ("size_mm", "shown"),
+    ("size_mm", "text"),
     [((0.6, 0.4, 0.2), r"0\.6 x 0\.4 x 0\.2"), ((1e5, 5.0, 5.0), r"1e\+05 x 5 x 5")],
 )
-def test_a_mesh_in_another_unit_is_refused_with_its_size(stl, size_mm, shown) -> None:
+def test_a_mesh_in_another_unit_is_refused_with_its_size(stl, size_mm, text) -> None:
     path = stl(trimesh.creation.box(extents=size_mm))
-    with pytest.raises(SimulatorSettingsError, match=f"{shown} mm .* export it in mm"):
+    with pytest.raises(SimulatorSettingsError, match=f"{text} mm .* export it in mm"):
         load_mesh(path)
 
 

@@ -44,8 +44,8 @@ def test_empty_pads_meet_foam_on_foam() -> None:
     assert taxels[0].reshape(16, 4)[0].sum() == 0.0
     assert taxels[0].reshape(16, 4)[-1].sum() > 0.1
     counts = leaning.world.scan()
-    felt = [counts[leaning.layout.taxels_of(pad)].sum() for pad in leaning.layout.gripping_pads]
-    assert felt[0] / felt[1] == pytest.approx(1.5, rel=0.05)
+    sums = [counts[leaning.layout.taxels_of(pad)].sum() for pad in leaning.layout.gripping_pads]
+    assert sums[0] / sums[1] == pytest.approx(1.5, rel=0.05)
 
 
 class HandMovedFingers:
@@ -296,9 +296,9 @@ ALL = (slice(None), slice(None))
 
 def test_the_resistance_is_equation_11() -> None:
     # The paper quotes 650, 250, 100 and 50 kOhm; its own equation meets them within 13 kOhm.
-    found = resistance_mohm(np.array([2.0, 4.0, 6.0, 8.0]))
-    assert found == pytest.approx([0.643, 0.262, 0.107, 0.0435], abs=1e-3)
-    assert np.all(np.abs(found - [0.65, 0.25, 0.1, 0.05]) < 0.013)
+    resistance = resistance_mohm(np.array([2.0, 4.0, 6.0, 8.0]))
+    assert resistance == pytest.approx([0.643, 0.262, 0.107, 0.0435], abs=1e-3)
+    assert np.all(np.abs(resistance - [0.65, 0.25, 0.1, 0.05]) < 0.013)
 
 
 def test_counts_grow_from_zero_towards_full_scale() -> None:

@@ -79,7 +79,7 @@ def test_signature_life_and_bits_have_their_registers(connect) -> None:
 def test_live_values_have_their_registers(connect) -> None:
     served, plc = connect()
     names = ("force_n", "force_age_s", "opening_mm", "temperature_c", "frame_age_s")
-    for *values, shown in (
+    for *values, registers in (
         (3.256, 0.0124, 9.53, 31.2, 0.0, [326, 953, 0, 31, 12]),
         (None, 0.61, None, None, 0.41, [NOT_MEASURED, NOT_MEASURED, 410, NOT_MEASURED, 610]),
         (0.0, None, 0.0, 0.0, None, [0, 0, OLDEST_MS, 0, OLDEST_MS]),
@@ -87,7 +87,7 @@ def test_live_values_have_their_registers(connect) -> None:
     ):
         served.plugin.show_live(LiveValues(**dict(zip(names, values, strict=True))))
         inputs = plc.inputs()
-        assert [*inputs[13:15], *inputs[21:24]] == shown
+        assert [*inputs[13:15], *inputs[21:24]] == registers
 
 
 def test_a_zeroed_or_stale_key_lets_nothing_go(connect) -> None:
@@ -239,8 +239,8 @@ def test_function_23_writes_then_reads_or_does_neither(connect) -> None:
 
     written = [GRIP, 0, 300, 0, 0, 0, 0, plc.seq + 1]
     assert write_and_read(0, *written).registers[1:9] == written
-    found = write_and_read(5, RELEASE, 0, 0, 0, 0, RELEASE_KEY, 0, 9)
-    assert found.exception_code == 2
+    answer = write_and_read(5, RELEASE, 0, 0, 0, 0, RELEASE_KEY, 0, 9)
+    assert answer.exception_code == 2
     assert (plc.inputs()[5], served.grip_n > 1.0) == (1, True)
 
 
@@ -248,8 +248,8 @@ def test_a_pose_has_its_registers(connect) -> None:
     served, plc = connect(adopt=True)
     served.ask_pose(Pose(x_m=0.00123, y_m=-0.0004, rotation_rad=0.5, roll_rad=-0.25))
     inputs = plc.inputs()
-    shown = struct.unpack(">4h", struct.pack(">4H", *inputs[17:21]))
-    assert shown == (123, -40, 286, -143)
+    registers = struct.unpack(">4h", struct.pack(">4H", *inputs[17:21]))
+    assert registers == (123, -40, 286, -143)
     assert plc.command(REACHED, inputs[16]) == 0
     assert plc.inputs()[16:21] == [0] * 5
 

@@ -32,8 +32,8 @@ SORTING: dict[str, Any] = {
 
 def address(served: Served, port: int = 0) -> str:
     """Return the address of the page as `serve` prints it."""
-    found = served.interfaces
-    return f"http://127.0.0.1:{port or found['http_port']}/#token={found['token']}"
+    interfaces = served.interfaces
+    return f"http://127.0.0.1:{port or interfaces['http_port']}/#token={interfaces['token']}"
 
 
 class FakeCell:
@@ -164,9 +164,9 @@ def browser() -> Iterator[Any]:
         pytest.skip(f"{CHROMIUM} is not there")
     with playwright.sync_playwright() as started:
         flags = ["--no-sandbox", "--disable-gpu"]
-        found = started.chromium.launch(executable_path=str(CHROMIUM), args=flags)
-        yield found
-        found.close()
+        chromium = started.chromium.launch(executable_path=str(CHROMIUM), args=flags)
+        yield chromium
+        chromium.close()
 
 
 @pytest.fixture
@@ -184,7 +184,7 @@ def open_page(browser: Any, request: pytest.FixtureRequest) -> Iterator[Callable
     What a page writes to its console as an error fails the test.
     """
     errors: list[str] = []
-    shown = request.getfixturevalue("cell") if "cell" in request.fixturenames else None
+    fake = request.getfixturevalue("cell") if "cell" in request.fixturenames else None
     with ExitStack() as undo:
 
         def make(url: str = "", *, wide: bool = True, command: bool = False, **options: Any) -> Any:
@@ -205,7 +205,7 @@ def open_page(browser: Any, request: pytest.FixtureRequest) -> Iterator[Callable
                     else None
                 ),
             )
-            page.goto(url or shown.url)
+            page.goto(url or fake.url)
             if command:
                 page.click("#command")
                 page.get_by_text("This page is in command").or_(

@@ -38,10 +38,10 @@ FAMILIES: dict[str, set[str]] = {
 
 def used() -> set[str]:
     """Return the keys that the page asks for by their whole name."""
-    found = set(re.findall(r'data-t="([^"]+)"', HTML))
+    keys = set(re.findall(r'data-t="([^"]+)"', HTML))
     for quoted in re.findall(r'["`]([a-z_]+(?:\.[A-Za-z_]+)+)["`]', SOURCE):
-        found.add(quoted)
-    return found
+        keys.add(quoted)
+    return keys
 
 
 def texts(language: str) -> dict[str, str]:
@@ -57,13 +57,13 @@ def all_keys() -> set[str]:
 
 @pytest.mark.parametrize("language", sorted(WORDS))
 def test_a_language_has_the_keys_and_places_of_english(language: str) -> None:
-    english, found = texts("en"), texts(language)
-    assert found.keys() == english.keys()
+    english, translated = texts("en"), texts(language)
+    assert translated.keys() == english.keys()
     for key, text in english.items():
         assert text.strip()
-        assert found[key].strip()
+        assert translated[key].strip()
         wanted = set(re.findall(r"\{(\w+)\}", text)) - {"n"}
-        assert set(re.findall(r"\{(\w+)\}", found[key])) - {"n"} == wanted, key
+        assert set(re.findall(r"\{(\w+)\}", translated[key])) - {"n"} == wanted, key
 
 
 def test_the_page_asks_for_no_text_that_is_missing() -> None:

@@ -219,8 +219,8 @@ def test_all_states_fit_and_have_no_finding_of_axe(open_page, cell, scheme, wide
     page = open_page(wide=wide, color_scheme=scheme, command=True)
 
     def check(name: str) -> None:
-        found = axe.run(page).response["violations"]
-        assert not found, (name, [(one["id"], one["nodes"][0]["html"]) for one in found])
+        violations = axe.run(page).response["violations"]
+        assert not violations, (name, [(one["id"], one["nodes"][0]["html"]) for one in violations])
         assert fits(page), name
         if wide:
             assert page.evaluate("document.documentElement.scrollHeight <= innerHeight"), name
@@ -636,8 +636,8 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page) -> N
     page.locator("#sim_pose [name=x_m]").fill("1.5")
     click(page, "#sim_put", "#sim_placed", "^box 16 × 10 × 6 mm$")
     assert world.placed[1].x_m == pytest.approx(1.5e-3)
-    found = axe.run(page).response["violations"]
-    assert not found, [(one["id"], one["nodes"][0]["html"]) for one in found]
+    violations = axe.run(page).response["violations"]
+    assert not violations, [(one["id"], one["nodes"][0]["html"]) for one in violations]
     assert fits(page)
     page.select_option("#sim_fault", "servo1.overheat")
     becomes(page, "#sim_fault option:checked", "its internal temperature has this value")
@@ -656,9 +656,9 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page) -> N
 def test_a_second_person_watches_by_the_link(served, open_page) -> None:
     page = open_page(address(served), wide=False)
     click(page, "#share_open", "#share_note", "set serve.listen to 0.0.0.0")
-    found = served.interfaces
+    interfaces = served.interfaces
     link = page.get_attribute("#share_address", "href")
-    assert link == address(served).replace(found["token"], found["view_token"])
+    assert link == address(served).replace(interfaces["token"], interfaces["view_token"])
     assert fits(page)
     second = open_page(link, wide=False)
     becomes(second, "#state", "Ready")
