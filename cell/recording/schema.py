@@ -11,14 +11,15 @@ are plain lists of integers, so that a viewer can plot a single taxel
 the wall clock and describes the pads.
 """
 
-import json
+import functools
 import math
 import zlib
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import fields
 from typing import TYPE_CHECKING, Annotated, Any, Final, NotRequired
 
 import numpy as np
+import pydantic_core
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationInfo, with_config
 from typing_extensions import TypedDict
 
@@ -70,8 +71,6 @@ Text = Annotated[str, AfterValidator(_text)]
 """A text of a grasp."""
 _COMMAND = "commanded pose and force: " + ", ".join(COMMAND_COLUMNS)
 _ZERO = "self-zero of the empty fingers before: " + ", ".join(ZERO_COLUMNS)
-
-_ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=False)
 
 
 @with_config(ConfigDict(extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False))
@@ -357,23 +356,27 @@ def to_json(value: Any) -> bytes:
 
     A value that is None, NaN or infinite is left out, as is an array with one.
     """
-    return _ENCODER.encode(_plain(value)).encode()
+    return pydantic_core.to_json(_plain(value))
 
 
 def _plain(value: Any) -> Any:
     if isinstance(value, float):
         return round(float(value), 9) if math.isfinite(value) else None
+    if value is None or isinstance(value, (int, str)):
+        return value
     if isinstance(value, np.ndarray):
         return value.tolist() if value.dtype.kind in "iu" else _plain(value.tolist())
     if isinstance(value, list | tuple):
         plain = [_plain(item) for item in value]
         return None if None in plain else plain
-    if is_dataclass(value):
-        value = {field.name: getattr(value, field.name) for field in fields(value)}
-    if isinstance(value, Mapping):
-        items = {name: _plain(item) for name, item in value.items()}
-        return {name: item for name, item in items.items() if item is not None}
-    return value
+    if not isinstance(value, Mapping):
+        value = {name: getattr(value, name) for name in _names(value.__class__)}
+    return {name: plain for name in value if (plain := _plain(value[name])) is not None}
+
+
+@functools.cache
+def _names(dataclass: Any) -> list[str]:
+    return [field.name for field in fields(dataclass)]
 
 
 def to_ns(t_s: float) -> int:
