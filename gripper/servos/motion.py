@@ -81,10 +81,10 @@ class ServoMotion:
         while now_ms - positions[0][0] > _WINDOWS_MS[0]:
             positions.popleft()
         line = list(positions)
-        for window_ms in _WINDOWS_MS:
-            line = [one for one in line[:-2] if now_ms - one[0] <= window_ms] + line[-2:]
+        for shorter_ms in _WINDOWS_MS[1:]:
             if len(line) < _FEWEST or self._foretold(line):
                 break
+            line = [one for one in line[:-2] if now_ms - one[0] <= shorter_ms] + line[-2:]
         rate = 1e3 * _fit(line)[2]
         # The shortest line is prompt enough where it has its positions.
         prompt = len(positions) < _FEWEST or now_ms - positions[-_FEWEST][0] <= _WINDOWS_MS[-1]
