@@ -53,17 +53,8 @@ class QualityWatch:
         self._aim_at_change = self._aim
         self._repeats = np.zeros(n, dtype=np.int64)
         self._broken = np.zeros(n, dtype=np.bool_)
-
-    @property
-    def bad(self) -> Mask:
+        self.bad: Mask = self._broken.copy() if tare is None else tare.health.bad
         """Taxels that do not measure, (n_taxels,) bool."""
-        tare = self._tare
-        if tare is None:
-            return self._broken.copy()
-        bad: Mask = tare.health.bad | self._broken
-        if tare.health.noisy:
-            bad |= self._repeats >= self._limits.stuck_frames
-        return bad
 
     def aim(self, force_n: float, aperture_m: float) -> None:
         """Set the set-point of the force in N, 0 for none, and the opening between the pads in m.
@@ -88,6 +79,11 @@ class QualityWatch:
         self._repeats = np.where(same & ~saturated, self._repeats + 1, 0)
         if (frame.counter - last.counter) & COUNTER_MASK <= _CONSECUTIVE:
             self._look_for_jumps(last.counts, frame.counts, saturated)
+        self.bad = self._broken.copy()
+        if self._tare is not None:
+            self.bad |= self._tare.health.bad
+            if self._tare.health.noisy:
+                self.bad |= self._repeats >= self._limits.stuck_frames
         if self._tare is None or not same.all():
             self._changed_s, self._aim_at_change = frame.t_s, self._aim
             self._aimed_s = None
