@@ -7,8 +7,6 @@ from collections.abc import Iterator, Sequence
 from itertools import accumulate
 from typing import NamedTuple
 
-import numpy as np
-
 _STUFFABLE_BITS = 34
 """Start of frame, identifier, control field and CRC of an 11-bit data frame, in bits."""
 _FIXED_BITS = 13
@@ -26,7 +24,7 @@ def _mean_bits(n_bytes: int, quiet_bytes: int) -> float:
     return length + _FIXED_BITS + _STUFF_PER_BIT * length + _STUFF_PER_QUIET_BYTE * quiet_bytes
 
 
-_MEAN_BITS = tuple(np.array([_mean_bits(n, quiet) for quiet in range(n + 1)]) for n in range(9))
+_MEAN_BITS = [[_mean_bits(n, quiet) for quiet in range(n + 1)] for n in range(9)]
 """Bits of a data frame by its data bytes and those of 0x00 or 0xFF among them."""
 
 
@@ -61,10 +59,10 @@ class _Queued:
 
     def __init__(self, burst: Burst, bit_s: float) -> None:
         self.burst = burst
-        more, n_bytes = _EXTENDED_BITS if burst.extended else 0, len(burst.messages[0])
-        data = np.frombuffer(b"".join(burst.messages), np.int8).reshape(-1, n_bytes or 1)
-        quiet = np.add.reduce((data == 0) | (data == -1), axis=1) if n_bytes else [0]
-        self.lengths_s: list[float] = ((_MEAN_BITS[n_bytes][quiet] + more) * bit_s).tolist()
+        more, bits = _EXTENDED_BITS if burst.extended else 0, _MEAN_BITS[len(burst.messages[0])]
+        self.lengths_s = [
+            (bits[data.count(0x00) + data.count(0xFF)] + more) * bit_s for data in burst.messages
+        ]
         self.sent = 0
 
 
