@@ -7,8 +7,11 @@ the error byte as its first parameter. From INST to the last parameter an FD is 
 """
 
 import struct
+from array import array
 from enum import IntEnum
 from typing import NamedTuple
+
+import numpy as np
 
 HEADER = b"\xff\xff\xfd"
 """First three bytes of a packet; a byte that is not FD follows."""
@@ -59,25 +62,23 @@ ALERT = 0x80
 """Bit 7 of the error byte: Hardware Error Status is not zero."""
 
 
-def _crc_table() -> tuple[int, ...]:
-    table = []
-    for byte in range(256):
-        value = byte << 8
-        for _ in range(8):
-            value = (value << 1) ^ _CRC_POLYNOMIAL if value & 0x8000 else value << 1
-        table.append(value & 0xFFFF)
-    return tuple(table)
+def _pair_crcs() -> list[int]:
+    crcs = np.arange(1 << 16)
+    for _ in range(16):
+        crcs = crcs << 1 ^ np.where(crcs & 0x8000, _CRC_POLYNOMIAL, 0)
+    return list((crcs & 0xFFFF).tolist())
 
 
-_CRC_TABLE = _crc_table()
+_PAIR_CRCS = array("H", _pair_crcs())
+"""CRC of each pair of bytes."""
 
 
 def crc16(data: bytes | bytearray) -> int:
     """Return the CRC-16 of Protocol 2.0 (polynomial 8005, initial value 0, no reflection)."""
-    crc = 0
-    table = _CRC_TABLE
-    for byte in data:
-        crc = ((crc & 0xFF) << 8) ^ table[(crc >> 8) ^ byte]
+    crc, n_pairs = 0, (len(data) + 1) // 2
+    # At this initial value a zero before the data changes nothing.
+    for pair in struct.unpack(f">{n_pairs}H", data.rjust(2 * n_pairs, b"\0")):
+        crc = _PAIR_CRCS[crc ^ pair]
     return crc
 
 
