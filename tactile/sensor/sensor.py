@@ -169,6 +169,8 @@ class TactileSensor:
         self._touch: ActiveTaxels | None = None
         self.latest: TactileReading | None = None
         """The newest reading of `poll`, None before; its ``t_s`` gives its age."""
+        self.scan_noise_n = inf
+        """Standard deviation in N of the grip force of one force message, or of one frame."""
         self._last_s: float | None = None
         self._failed: FrameTimeout | ForceContradicted | None = None
         self._new_forces: deque[ForceMessage] = deque(maxlen=_KEPT_FORCES)
@@ -233,6 +235,7 @@ class TactileSensor:
             raise
         if readings:
             self.latest = readings[-1]
+            self.scan_noise_n = self._noise_n(self.latest.active)
         return readings
 
     def take_forces(self) -> tuple[ForceMessage, ...]:
@@ -249,14 +252,10 @@ class TactileSensor:
         """
         return self._force_bad is not None and bool((self._force_bad == self._quality.bad).all())
 
-    @property
-    def scan_noise_n(self) -> float:
-        """Standard deviation in N of the grip force of one force message, or of one frame."""
-        if self.latest is None:
-            return inf
+    def _noise_n(self, active: NDArray[np.bool_]) -> float:
         variance_n2 = 0.0
         for taxels, taxel_n in zip(self._grips, self._taxel_noise_n, strict=True):
-            n = max(_LEAST_TOUCHED, int(np.count_nonzero(self.latest.active[taxels])))
+            n = max(_LEAST_TOUCHED, int(np.count_nonzero(active[taxels])))
             variance_n2 += _EDGE * n * taxel_n * taxel_n
         return 0.5 * sqrt(variance_n2)
 
@@ -375,6 +374,7 @@ class TactileSensor:
         tare = self.tare_result
         counts = frame.counts.astype(np.float64)
         bad = self._quality.bad
+        full = saturated & ~bad
         if tare is not None:
             counts -= tare.offset_counts
         counts = fill_bad(self._hood, counts, bad)
@@ -386,12 +386,12 @@ class TactileSensor:
         pad_force_n = np.add.reduceat(force_n, self._pad_starts)
         all_n = self.calibration.force_n(counts)
         scan_n = np.where(active, all_n, 0.0)
-        reason = self._objection(frame, saturated & ~bad, bad, tared)
+        reason = self._objection(frame, full, bad, tared)
         if not reason and self.has_forces:
             self._compare(frame, counts, active, scan_n, all_n)
         for array in (tared, active, force_n, pad_force_n, saturated, bad):
             array.setflags(write=False)
-        self._saturated_frames += bool((saturated & ~bad).any())
+        self._saturated_frames += bool(full.any())
         self._void_frames += bool(reason) and self._mean_full and self.tare_result is not None
         first, second = self.layout.gripping_pads
         return TactileReading(
@@ -405,7 +405,7 @@ class TactileSensor:
             saturated=saturated,
             bad=bad,
             ok=not reason,
-            at_least=bool(reason) and reason == self._full_scale(saturated & ~bad),
+            at_least=bool(reason) and reason == self._full_scale(full),
             reason=reason,
         )
 
@@ -421,7 +421,7 @@ class TactileSensor:
         pitches_m = np.array([pad.pitch_x_m, pad.pitch_y_m])
         # Noise of each touched taxel of a gripping pad in this frame: a count is more force on a
         # loaded taxel than on an empty one.
-        slope = self.calibration.force_n(counts + 1.0) - self.calibration.force_n(counts)
+        slope = self.calibration.force_n(counts + 1.0) - all_n
         noise_n = np.zeros(len(counts))
         for taxels, taxel_n in zip(self._grips, self._taxel_noise_n, strict=True):
             noise_n[taxels] = taxel_n * (slope * active / self._per_count_n)[taxels]
