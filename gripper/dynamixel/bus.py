@@ -8,7 +8,9 @@ the next request. A servo answers in the order of its requests, so an answered p
 older answer of this servo is pending.
 """
 
+import struct
 import threading
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
@@ -136,6 +138,8 @@ class ServoBus:
     ) -> None:
         self.alerts: set[int] = set()
         """IDs of the servos whose last answer had the Alert bit."""
+        self.misses = Counter[int]()
+        """How many answers of each servo were lost in a row, by its ID."""
         self.baudrate = baudrate
         self._least_allowance_s = allowance_s
         self.port = SdkPort(stream, clock, baudrate=baudrate, allowance_s=allowance_s)
@@ -154,7 +158,6 @@ class ServoBus:
         self._outstanding = 0
         self._heard = Heard()
         self._last_error: BusTimeout | BusCorrupt | None = None
-        self._misses: dict[int, int] = {}
         self._ram_shifts = dict(ram_shifts or {})
         self._counts = dict.fromkeys(BusStatistics.__slots__, 0)
         self._lock = threading.RLock()
@@ -177,10 +180,6 @@ class ServoBus:
     def statistics(self) -> BusStatistics:
         """Counts since the bus was opened."""
         return BusStatistics(**self._counts)
-
-    def misses(self, servo_id: int) -> int:
-        """Return how many answers of a servo were lost in a row."""
-        return self._misses.get(servo_id, 0)
 
     def in_loop(self) -> AbstractContextManager[None]:
         """Limit each transaction in the block to the time that a period of the loop allows.
@@ -464,9 +463,9 @@ class ServoBus:
         answer.
         """
         if not self.patient:
-            ids = sorted(ids, key=self.misses)
+            ids = sorted(ids, key=self.misses.__getitem__)
         # Requests must not accumulate at a slow machine.
-        all_silent = min(map(self.misses, ids)) >= _ALL_SILENT_MISSES
+        all_silent = min(map(self.misses.__getitem__, ids)) >= _ALL_SILENT_MISSES
         self._begin(quiet=self.patient or all_silent)
         try:
             deadline_s = None if self.patient else self._clock.monotonic() + self._period_s
@@ -566,7 +565,7 @@ class ServoBus:
             self._heard.add(self._handler.dropped)
             if status is None:
                 self._outstanding += 1
-                self._misses[servo_id] = self.misses(servo_id) + 1
+                self.misses[servo_id] += 1
                 damaged |= bool(self._handler.dropped)
                 self._counts["corrupt" if damaged else "timeouts"] += 1
                 raise NoAnswerError(damaged)
@@ -581,7 +580,7 @@ class ServoBus:
                 self._heard.add_packet()
             else:
                 self._counts["corrupt"] += bool(self._handler.dropped)
-                self._misses[servo_id] = 0
+                self.misses[servo_id] = 0
                 self._heard.forget()
                 (self.alerts.add if status.alert else self.alerts.discard)(servo_id)
                 return status
@@ -646,4 +645,4 @@ class _InLoop:
 
 
 def _words(*values: int) -> bytes:
-    return b"".join(value.to_bytes(2, "little") for value in values)
+    return struct.pack(f"<{len(values)}H", *values)

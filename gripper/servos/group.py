@@ -97,7 +97,7 @@ class Servos:
 
     def silent_and_living(self) -> tuple[list[int], list[int]]:
         """Return the IDs of the servos without a last answer, and of those with one."""
-        silent = [servo_id for servo_id in self._ids if self._bus.misses(servo_id)]
+        silent = [servo_id for servo_id in self._ids if self._bus.misses[servo_id]]
         return silent, [servo_id for servo_id in self._ids if servo_id not in silent]
 
     def in_loop(self) -> AbstractContextManager[None]:
@@ -167,7 +167,7 @@ class Servos:
         state = self.feedback.last
         age_s = 0.0 if state is None else self._clock.monotonic() - state.t_s
         late = age_s > _STALE_PERIODS * self._settings.period_s
-        if late and not any(map(self._bus.misses, self._ids)):
+        if late and not any(self._bus.misses[servo_id] for servo_id in self._ids):
             # The loop has stalled, and the fingers have moved since the last reading.
             with suppress(GripperError):
                 self.read()
@@ -386,7 +386,7 @@ class Servos:
         """
         if self.feedback.last is None or not self.goals.last:
             return True
-        if self._bus.misses(servo_id):
+        if self._bus.misses[servo_id]:
             return False
         with suppress(GripperError):
             wanted_raw = self.feedback.last.servos[self._ids.index(servo_id)].position_raw

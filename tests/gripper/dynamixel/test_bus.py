@@ -122,7 +122,7 @@ def test_a_lost_answer_is_asked_for_again_behind_a_ping(script, bus, clock) -> N
         assert bus.read(1, PRESENT_POSITION) == 166
     assert clock.monotonic() < 0.005
     assert (bus.statistics.timeouts, bus.statistics.retries) == (1, 1)
-    assert bus.misses(1) == 0
+    assert bus.misses[1] == 0
 
 
 @pytest.mark.parametrize("damaged", [True, False])
@@ -148,7 +148,7 @@ def test_a_silent_servo_is_a_timeout_within_a_bounded_time(script, bus, clock) -
     with bus.in_loop(), pytest.raises(BusTimeout, match="no answer of servo 1, twice"):
         bus.read(1, PRESENT_POSITION)
     assert clock.monotonic() < 0.006
-    assert bus.misses(1) == 2
+    assert bus.misses[1] == 2
     assert isinstance(BusTimeout("x"), TimeoutError)
 
 
