@@ -109,12 +109,12 @@ class ServoMotion:
 
 def _fit(line: list[tuple[int, float]]) -> tuple[float, float, float]:
     """Return the means of time in ms and angle in rad, and the slope in rad/ms."""
-    middle_ms = middle_rad = spread_ms2 = rate = 0.0
+    n, middle_ms, middle_rad, spread_ms2, rate = len(line), 0.0, 0.0, 0.0, 0.0
     for t_ms, rad in line:
         middle_ms += t_ms
         middle_rad += rad
-    middle_ms /= len(line)
-    middle_rad /= len(line)
+    middle_ms /= n
+    middle_rad /= n
     for t_ms, rad in line:
         off_ms = t_ms - middle_ms
         spread_ms2 += off_ms * off_ms

@@ -185,7 +185,7 @@ class ForceStream:
     def _note_delay(self, message: ForceMessage) -> None:
         """Add the delay of a message after the time at which its counter was due."""
         step = (message.counter - self._last_counter) % COUNTERS if self._last_data else 1
-        self._sent += step + bool(message.status & ForceStatus.OVERRUN)
+        self._sent += step + (ForceStatus.OVERRUN in message.status)
         delay_s = message.t_s - self._sent * self._period_s
         self._delays.append((message.t_s, delay_s))
         while message.t_s - self._delays[0][0] > _BEHIND_S and len(self._delays) > _LEAST_BEHIND:
