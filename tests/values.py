@@ -1,8 +1,10 @@
 """Values of a cell without a meaning, for tests that only pass them on."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from cell.control.controller import CellController
 from cell.control.identification import Identification
@@ -10,6 +12,7 @@ from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.state import Cycle, GripperPhase, ServoFeedback, ServoState
+from recognition.grasp import PadArray
 from recognition.recognizer import Posterior
 from recognition.shape.answer import ShapeAnswer, Thickness
 from recognition.statistics.fusion import StopRule, decide, fuse
@@ -120,6 +123,22 @@ def measured_drives(
             servo.servo_id, replace(drive, friction_sd=friction_sd, load_sd=load_sd, measured_s=1.0)
         )
     return settings
+
+
+def make_pads(
+    shapes: Sequence[tuple[int, int]] = ((10, 6), (10, 6)),
+    *,
+    adc_max: int = 4095,
+    pitch_m: float = 3e-3,
+) -> PadArray:
+    """Return pads of evenly spaced taxels, each around its centre."""
+    places = [np.indices(one).reshape(2, -1).T - 0.5 * (np.array(one) - 1.0) for one in shapes]
+    return PadArray(
+        pad_shape=np.array(shapes),
+        taxel_pad=np.repeat(np.arange(len(shapes)), [len(one) for one in places]),
+        taxel_xy_m=np.concatenate(places) * pitch_m,
+        adc_max=adc_max,
+    )
 
 
 def raising(error: BaseException) -> Callable[..., Any]:

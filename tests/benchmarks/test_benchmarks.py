@@ -30,7 +30,8 @@ from recognition.features.footprint import PadGrid
 from recognition.quadric.thresholds import find_thresholds
 from simulator.world.shapes import ObjectPose
 from tests import ROOT
-from tests.recognition.conftest import make_grasps, make_pads
+from tests.recognition.conftest import make_grasps
+from tests.values import make_pads
 
 pytestmark = pytest.mark.no_cover  # to count lines takes as long again as to run them
 

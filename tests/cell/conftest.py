@@ -23,9 +23,10 @@ from cell.runtime.plugin import TactileCellPlugin
 from gripper.values.state import GripperPhase
 from pytest_tactile_cell.virtual import VirtualCell
 from recognition.drift.self_zero import ZeroMeasurement
-from recognition.grasp import Grasp, PadArray, SelfZero
+from recognition.grasp import Grasp, SelfZero
 from recognition.recognizer import Posterior
 from simulator.clock import VirtualClock
+from tests.values import make_pads
 
 
 def call(*arguments: object) -> str:
@@ -221,21 +222,9 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Taught:
     return Taught(config, folder, result, read_dataset(result.dataset), tuple(progress))
 
 
-def plain_pads(*shapes: tuple[int, int], pitch_m: float = 3e-3, adc_max: int = 4095) -> PadArray:
-    """Pads of evenly spaced taxels."""
-    return PadArray(
-        pad_shape=np.array(shapes),
-        taxel_pad=np.repeat(np.arange(len(shapes)), [rows * columns for rows, columns in shapes]),
-        taxel_xy_m=np.concatenate([np.indices(one).reshape(2, -1).T * pitch_m for one in shapes]),
-        adc_max=adc_max,
-    )
-
-
-def plain_grasp(
-    label: str, shapes: tuple[tuple[int, int], ...] = ((4, 3), (4, 3)), **changes: Any
-) -> Grasp:
+def plain_grasp(label: str, **changes: Any) -> Grasp:
     """Twelve frames of random counts while the fingers close from 40 to 10 mm."""
-    pads = plain_pads(*shapes)
+    pads = make_pads(((4, 3), (4, 3)))
     n = 12
     values: dict[str, Any] = {
         "pads": pads,

@@ -212,7 +212,7 @@ GRASP = SimpleNamespace(
     cycles=(SimpleNamespace(setpoint_n=5.0),), outcome=SimpleNamespace(final_force_n=4.9)
 )
 """Record of each grasp."""
-FOUND = Verification(held=True, same=True, force_n=GRIP_N, opening_m=9.5e-3)
+VERIFIED = Verification(held=True, same=True, force_n=GRIP_N, opening_m=9.5e-3)
 """Answer of each grip and verify."""
 
 
@@ -376,7 +376,7 @@ class StubPlugin:
                 label=label, probabilities=probabilities, n_grasps=1, in_grip=keeps, shape=ROUND
             )
         elif isinstance(goal, GripGoal | VerifyGoal):
-            command, value, keeps = Command(goal.task), FOUND, True
+            command, value, keeps = Command(goal.task), VERIFIED, True
         end = CellState.COMPLETE if keeps else CellState.IDLE
         return self._accept(goal, command, CellState.EXECUTE, (end, keeps, value))
 

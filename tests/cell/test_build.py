@@ -271,7 +271,7 @@ def test_an_object_comes_to_rest_and_a_box_on_a_face() -> None:
 # -- The simulated cell as a process: who may serve in a folder ------------------------------------
 
 
-FOUND = {
+ANNOUNCED = {
     "servo_port": "servos",
     "can_interface": "slcan",
     "can_channel": "can",
@@ -292,7 +292,7 @@ def test_a_folder_serves_one_simulated_cell_at_a_time(tmp_path, monkeypatch) -> 
 
     def serve(_settings: Any, announce: Any, *, folder: Path, **_options: Any) -> None:
         served.append(folder)
-        announce(FOUND)
+        announce(ANNOUNCED)
         if len(served) == 1:
             with pytest.raises(CellError, match="choose another folder with --out"):
                 serve_here()
@@ -311,7 +311,7 @@ def test_a_client_gets_the_axes_at_their_ports_and_more_patience(tmp_path, monke
 
     def serve(settings: SimulatorSettings, announce: Any, **_options: Any) -> None:
         assert list(settings.axes) == ["x", "rotation", "roll"]
-        announce(FOUND)
+        announce(ANNOUNCED)
 
     monkeypatch.setattr(simulate, "serve", serve)
     simulate.serve_simulated_cell(config, folder=tmp_path, announce=announced.append)
@@ -331,7 +331,7 @@ def test_a_client_gets_the_axes_at_their_ports_and_more_patience(tmp_path, monke
 
 def test_a_client_gets_the_boards_of_its_sensor_at_their_ports() -> None:
     preset = load_config(ROOT / "config" / "flexitac.yaml")
-    config = simulate.client_config(preset, FOUND)
+    config = simulate.client_config(preset, ANNOUNCED)
     assert config.tactile.serial_ports == ("board0", "board1")
     assert not config.simulated
 

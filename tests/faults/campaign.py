@@ -157,10 +157,10 @@ class CampaignCell(Bench):
     @contextmanager
     def first_time(self, happens: Callable[[], bool]) -> Iterator[list[float]]:
         """Give a list that gets the time in s at which something is so first in the block."""
-        found_s = once(self.clock, happens, lambda: None)
+        reported_s = once(self.clock, happens, lambda: None)
         look = self.clock.on_advance[-1]
         try:
-            yield found_s
+            yield reported_s
         finally:
             self.clock.on_advance.remove(look)
 
@@ -175,9 +175,7 @@ class CampaignCell(Bench):
 
 
 @contextmanager
-def campaign_cell(
-    changes: Mapping[str, Any] | None = None, *, folder: Path | None = None
-) -> Iterator[CampaignCell]:
+def campaign_cell(changes: Mapping[str, Any] | None = None) -> Iterator[CampaignCell]:
     """Give a cell that is not started yet; at the end its invariants are checked.
 
     Raises
@@ -186,7 +184,7 @@ def campaign_cell(
         If the cell did what none may ever do.
     """
     config = campaign_config(changes)
-    cell = build_cell(config, folder=folder)
+    cell = build_cell(config)
     monitor = InvariantMonitor(cell.simulated, config.gripper)
     monitor.attach(cell)
     try:
@@ -459,16 +457,16 @@ def drifts_between_grasps(row: FaultRow) -> Observed:
         return observe(cell, row.injected.partition(" ")[0], job)
 
 
-def _on_sync(cell: CampaignCell, act: Callable[[int], None], *, after: int = 5) -> None:
+def _on_sync(cell: CampaignCell, act: Callable[[int], None]) -> None:
     """Call ``act`` just before each SYNC reaches the unit, once both pads touch.
 
-    It gets the number of the SYNC, from 0; the first ``after`` of them are left out, so that the
+    It gets the number of the SYNC, from 0; the first five of them are left out, so that the
     contact itself is over.
     """
-    seen = [-after]
+    seen = [-5]
 
     def look(_t_s: float, can_id: int, _data: bytes) -> None:
-        if can_id == _SYNC_ID and (seen[0] > -after or cell.grip_n > _TOUCH_N):
+        if can_id == _SYNC_ID and (seen[0] > -5 or cell.grip_n > _TOUCH_N):
             if seen[0] >= 0:
                 act(seen[0])
             seen[0] += 1
@@ -645,7 +643,7 @@ def _grasp_with_clock(step_s: float) -> tuple[GraspRecord, float]:
 
 _GRIPPED_N = 1.0
 """Force in N at which a part counts as gripped."""
-_KEPT_N = 0.6
+_HELD_N = 0.6
 """Force in N with which a part counts as still held."""
 _HOST = f"""
 import sys
@@ -685,7 +683,7 @@ def host_ends_by_an_error(_row: FaultRow) -> Observed:
         until(lambda: ended(loop))
         after_s, grip_n = time.monotonic() - began_s, cell.grip_n()
         return Observed(
-            "HOLD" if grip_n > _KEPT_N else "LOST",
+            "HOLD" if grip_n > _HELD_N else "LOST",
             after_s,
             "nothing was closed; the process of the force loop freezes the goals and ends; the "
             f"grip is kept ({grip_n:.1f} N)",

@@ -20,7 +20,8 @@ import numpy as np
 from hypothesis import HealthCheck, Phase, example, given, settings, strategies as st
 
 from recognition.grasp import Grasp, PadArray
-from tests.recognition.conftest import OBJECTS, make_grasps, make_pads
+from tests.recognition.conftest import OBJECTS, make_grasps
+from tests.values import make_pads
 
 INPUTS = int(os.environ.get("TACTILE_CELL_INPUTS", "0"))
 """New inputs that each property meets in a campaign; 0 for the few of every run."""
@@ -32,11 +33,11 @@ _PIECES = (b"\0\0\0\0", b"\x7f", b"\xff\xff\xfd\0", b"\n", b'"', b"-", b":", b"[
 _PLACES = st.integers(0, 1 << 16)
 
 
-def damages(*, at_least: int = 0, at_most: int = 4) -> st.SearchStrategy[list[Damage]]:
+def damages(*, at_most: int = 4) -> st.SearchStrategy[list[Damage]]:
     """Return a strategy for lists of damages."""
     sizes = st.integers(0, 8) | st.integers(0, 200)
     new = st.binary(max_size=8) | st.sampled_from(_PIECES) | _PLACES
-    return st.lists(st.tuples(_PLACES, sizes, new), min_size=at_least, max_size=at_most)
+    return st.lists(st.tuples(_PLACES, sizes, new), max_size=at_most)
 
 
 def spoilt(data: bytes, damages: Iterable[Damage]) -> bytes:

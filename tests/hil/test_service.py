@@ -23,7 +23,7 @@ pytestmark = pytest.mark.real_time
 
 GRIPPED_N = 1.5
 """Force in N at which a process is killed, on the way up."""
-KEPT_N = 0.6
+HELD_N = 0.6
 """Least force in N with which a part counts as held."""
 LOOP_GONE, PART_IN_GRIP = 508, 506
 
@@ -95,12 +95,12 @@ def test_a_part_outlasts_the_processes_that_hold_it(service, simulator, cell, ki
 
     until(reported)
     assert (service.main.pid == main) == (killed == "hand")
-    assert min(forces_n) > KEPT_N
+    assert min(forces_n) > HELD_N
     assert (cell.state(), cell.holding()) == (9, True)
     if killed != "hand":
         lease = cell.acquire("after")
     assert done(cell, lease, cell.clear(lease)) == 4
-    assert simulator.grip_n() > KEPT_N
+    assert simulator.grip_n() > HELD_N
     assert done(cell, lease, cell.release(lease, RELEASE_KEY)) == 4
     assert simulator.grip_n() == 0.0
     assert done(cell, lease, cell.reset(lease)) == 4

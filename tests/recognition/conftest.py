@@ -10,6 +10,7 @@ import pytest
 
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizers import make_trainer
+from tests.values import make_pads
 
 
 @dataclass(frozen=True)
@@ -29,25 +30,6 @@ OBJECTS = (
     MadeObject("egg", 4.0, 6.0, 1.0, 45.0, 0.6),
     MadeObject("pin", 2.0, 2.5, 2.0, 6.0, 0.1),
 )
-
-
-def make_pads(
-    *,
-    shapes: Sequence[tuple[int, int]] = ((10, 6), (10, 6)),
-    adc_max: int = 4095,
-    pitch_m: float = 3e-3,
-) -> PadArray:
-    xy, pad_of = [], []
-    for pad, (rows, columns) in enumerate(shapes):
-        x, y = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
-        xy.append(np.column_stack([x.ravel() - (rows - 1) / 2, y.ravel() - (columns - 1) / 2]))
-        pad_of.append(np.full(rows * columns, pad))
-    return PadArray(
-        pad_shape=np.array(shapes),
-        taxel_pad=np.concatenate(pad_of),
-        taxel_xy_m=np.concatenate(xy) * pitch_m,
-        adc_max=adc_max,
-    )
 
 
 def make_grasp(
@@ -124,20 +106,6 @@ def part(grasp: Grasp, frames: Any) -> Grasp:
 
 def accuracy(recognizer, grasps: Sequence[Grasp]) -> float:
     return np.mean([recognizer.posterior(g).best == g.label for g in grasps])
-
-
-class GraspFactory:
-    """What tests make grasps with."""
-
-    objects = OBJECTS
-    pads = staticmethod(make_pads)
-    one = staticmethod(make_grasp)
-    many = staticmethod(make_grasps)
-
-
-@pytest.fixture(scope="session")
-def factory() -> GraspFactory:
-    return GraspFactory()
 
 
 @pytest.fixture(scope="session")

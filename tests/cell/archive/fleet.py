@@ -29,10 +29,9 @@ def ramp(
     start_ms: int = 0,
     offset_mm: float = 0.0,
     gains: Sequence[float] = (1.0, 1.0),
-    n_frames: int = 30,
 ) -> Grasp:
     """Return a grasp of an object of such a size: rest, then a force that rises to 5 N."""
-    load = np.clip(np.arange(n_frames) / n_frames * 1.5 - 0.4, 0.0, 1.0)
+    load = np.clip(np.arange(30) / 30 * 1.5 - 0.4, 0.0, 1.0)
     radius_mm = 0.3 * SIZES_MM[label] * rng.normal(1.0, 0.03)
     middle_m = rng.normal(0.0, 5e-4, 2)
     map_ = np.exp(-(((PADS.taxel_xy_m - middle_m) * 1e3 / radius_mm) ** 2).sum(axis=1))
@@ -42,7 +41,7 @@ def ramp(
     return Grasp(
         pads=PADS,
         counts=np.clip(counts + rng.normal(0.0, 3.0, counts.shape), 0, 4095),
-        t_s=0.02 * np.arange(n_frames),
+        t_s=0.02 * np.arange(30),
         aperture_m=1e-3 * opening_mm,
         force_n=5.0 * load,
         label=label,

@@ -224,8 +224,8 @@ def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
     assert release in findings["servo torque"].advice
     load = findings["pads' force"]
     assert (load.verdict, release in load.advice) == (Verdict.WARN, True)
-    shown_n = [float(number) for number in re.findall(r"([\d.]+) N", load.text)]
-    assert shown_n == pytest.approx(simulated.world.contact_force_n(), rel=0.25)
+    measured_n = [float(number) for number in re.findall(r"([\d.]+) N", load.text)]
+    assert measured_n == pytest.approx(simulated.world.contact_force_n(), rel=0.25)
     simulated.inject("servos.unplugged")
     findings = by_name(list(examine(small_config(), file)))
     assert "it is unknown whether a part is held" in findings["servo torque"].advice

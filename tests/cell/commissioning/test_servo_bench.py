@@ -32,10 +32,10 @@ SCALE_N_M = 2e4
 class SimulatedBench:
     """A servo with an arm over a scale or free; and a person who sets it up."""
 
-    def __init__(self, model: str = "XM430-W350", n_servos: int = 1, seed: str = "7") -> None:
+    def __init__(self, model: str = "XM430-W350", n_servos: int = 1) -> None:
         self.clock = VirtualClock()
-        drawn = drawn_gearing(MODELS[model], seed)
-        self.motor = ServoMotor(MODELS[model], gearing=drawn, noise=ServoNoise(seed))
+        drawn = drawn_gearing(MODELS[model], "7")
+        self.motor = ServoMotor(MODELS[model], gearing=drawn, noise=ServoNoise("7"))
         self.mechanics = FingerMechanics(
             [self.motor],
             [ServoMount()],

@@ -377,7 +377,7 @@ _MINUTES = ("sequence.ramp.hold_s=60",)
 """Ends that do nothing but let time pass."""
 _BOUND_S = 60.0
 """Longest simulated time of a start and a grasp in s."""
-_BESIDE: dict[str, dict[str, Any]] = {
+_MORE_KEYS: dict[str, dict[str, Any]] = {
     "gripper.aperture_open_mm=2": {
         "simulator.objects": [{"label": "ball", "shape": "box:length=20mm,width=10mm,height=1.5mm"}]
     },
@@ -429,7 +429,7 @@ ENDS = {f"{path}={value:g}": {path: value} for path, value in ends(_USUAL)}
 
 def config_at(end: str) -> CellConfig:
     """Return a config with short jobs and a key at its end; ConfigError where it is refused."""
-    return campaign_config({"gripper.aperture_open_mm": 16.0} | _BESIDE.get(end, {}) | ENDS[end])
+    return campaign_config({"gripper.aperture_open_mm": 16.0} | _MORE_KEYS.get(end, {}) | ENDS[end])
 
 
 def grasp(end: str) -> None:

@@ -61,18 +61,18 @@ def test_what_is_shown_of_a_carried_part_is_what_its_supervision_measures(make_b
     assert live.force_n == pytest.approx(0.0, abs=0.1)
     assert live.opening_mm == pytest.approx(12.0, abs=0.1)
     identify(bench, Scripted(SURE), Keep.ALWAYS)
-    shown_n, true_n = [], []
+    measured_n, true_n = [], []
     for _ in range(100):
         bench.idle(0.01)
         live = bench.controller.live
-        shown_n.append(live.force_n)
+        measured_n.append(live.force_n)
         true_n.append(bench.grip_n)
         # The noise of one sample is 0.26 N.
         assert (live.force_n, live.setpoint_n) == (pytest.approx(bench.grip_n, abs=1.3), CARRY_N)
         assert live.force_age_s <= 0.01
         assert live.frame_age_s <= 0.05
-    assert np.mean(shown_n) == pytest.approx(np.mean(true_n), abs=0.1)
-    assert len(set(shown_n)) > 80  # of 100: no stale value
+    assert np.mean(measured_n) == pytest.approx(np.mean(true_n), abs=0.1)
+    assert len(set(measured_n)) > 80  # of 100: no stale value
     counts = live.counts
     bench.idle(0.05)
     assert np.any(bench.controller.live.counts != counts)

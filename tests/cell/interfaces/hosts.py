@@ -206,7 +206,7 @@ class Place(NamedTuple):
 
 
 # fmt: off
-SHOWN = {
+VALUE_PLACES = {
     "state": Place("state", "3", "status.state_number"),
     "needs_reset": Place("needs_reset", "2.10", "status.needs_reset"),
     "on_hold": Place("held_by", "2.11", "held_by"),
@@ -286,10 +286,10 @@ class ModbusHost:
         return min(0, self._run(40 if ok else 41, seq))
 
     def values(self) -> dict[str, Any]:
-        """Return what the interface shows, by the names of `SHOWN`; None: not measured."""
+        """Return what the interface shows, by the names of `VALUE_PLACES`; None: not measured."""
         inputs = self._plc.inputs() + self._plc.part()
         values: dict[str, Any] = {"fault": inputs[7] if inputs[2] & 32 else 0}
-        for name, place in SHOWN.items():
+        for name, place in VALUE_PLACES.items():
             register, _, bit = place.register.partition(".")
             if bit:
                 values[name] = bool(inputs[int(register)] >> int(bit) & 1)
@@ -348,7 +348,7 @@ class XmlRpcHost:
 
     def values(self) -> dict[str, Any]:
         values: dict[str, Any] = {"job": self._cell.next_job() - 1}
-        for name, place in SHOWN.items():
+        for name, place in VALUE_PLACES.items():
             method, _, of = place.method.partition(" ")
             numbers = [values[of] if of == "job" else self.call(of)] if of else []
             if method and all(numbers):
@@ -420,7 +420,7 @@ class HttpHost:
         state = self._host.get("/api/state")
         state["part"] = next(iter(state["shift"]["answers"][-1:]), None)
         values = {}
-        for name, place in SHOWN.items():
+        for name, place in VALUE_PLACES.items():
             if place.path:
                 value: Any = state
                 for key in place.path.split("."):

@@ -21,7 +21,8 @@ from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray
 from recognition.recognizer import Posterior
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
 from tests.cell.conftest import plain_grasp
-from tests.recognition.conftest import OBJECTS, make_grasps, make_pads
+from tests.recognition.conftest import OBJECTS, make_grasps
+from tests.values import make_pads
 
 PADS = make_pads(shapes=((8, 5), (8, 5)), adc_max=255)
 

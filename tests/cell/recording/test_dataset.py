@@ -28,11 +28,10 @@ from cell.recording.dataset import read_dataset, write_dataset
 from cell.recording.reader import read_recording
 from gripper.dynamixel.models import XM430_W350
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
-from tests.cell.conftest import plain_pads
 from tests.cell.recording.test_recording import GOOD, foreign
-from tests.values import raising
+from tests.values import make_pads, raising
 
-PADS = plain_pads((3, 2), (2, 2), pitch_m=6.5e-3, adc_max=255)
+PADS = make_pads(((3, 2), (2, 2)), pitch_m=6.5e-3, adc_max=255)
 ZERO = SelfZero.from_values([1e-3, 1e-4, 0.1, 0.02, 8.0, 0.05, 8.0, 0.2])
 
 
@@ -118,7 +117,7 @@ DAMAGE: list[tuple[str, Callable[[Any], Any], str]] = [
     ("pad_shape", lambda a: a * 0, "rows and columns of a pad"),
     ("taxel_xy_mm", lambda a: a * np.nan, "not finite"),
     ("taxel_xy_mm", lambda a: a * 1e-3, r"the 6 taxels of pad 0 over 0\.013, .* in mm, not in m"),
-    ("taxel_xy_mm", lambda a: a * 1e3, "is 6500 at 3, must be from -1000 to 1000: places of .* mm"),
+    ("taxel_xy_mm", lambda a: a * 1e3, "is -6500 at 0, must be from -1000 to 1000: places of .* mm"),
     ("aperture_mm", lambda a: a + np.inf, "is inf at 0, must be from"),
     ("aperture_mm", lambda a: a * 1e-3, r"never exceeds 0\.03, expected 0\.2 .* in mm, not in m"),
     ("aperture_mm", lambda a: -10.0 * a, "aperture_mm is -300 at 0, must be from -100 to 1000"),

@@ -51,12 +51,13 @@ from gripper.values.force_sensor import ForceSample
 from recognition.grasp import Grasp, GraspCommand, SelfZero
 from recognition.recognizer import Posterior
 from tactile.source import TactileFrame
-from tests.cell.conftest import call, plain_pads
+from tests.cell.conftest import call
 from tests.cell.served import until
 from tests.fuzz.harness import Clock, same_grasps
 from tests.values import (
     make_cycle,
     make_identification,
+    make_pads,
     make_servo,
     make_shape,
     make_source_statistics,
@@ -64,7 +65,7 @@ from tests.values import (
     raising,
 )
 
-PADS = plain_pads((4, 3), (4, 3), adc_max=255)
+PADS = make_pads(((4, 3), (4, 3)), adc_max=255)
 
 
 def make_frame(t_s: float, rng: np.random.Generator, n_taxels: int = 24) -> TactileFrame:
@@ -255,7 +256,7 @@ def fill_disk_after(
 ) -> list[int]:
     """Let the disk take ``n_bytes``, half of the write that goes beyond, then nothing.
 
-    Returns the bytes that are left, for a test to change. Where they are not ``shown``, the disk
+    Returns the bytes that are left, for a test to change. Where they are not ``reported``, the disk
     looks empty, as with a quota.
     """
     room = [n_bytes]

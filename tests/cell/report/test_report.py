@@ -36,9 +36,8 @@ from gripper.force.timing import LoopStatistics
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.statistics.fusion import fuse
 from tactile.layout import paper_layout
-from tests.cell.conftest import plain_pads
 from tests.fuzz.harness import Clock
-from tests.values import make_shape
+from tests.values import make_pads, make_shape
 
 LAYOUT = paper_layout()
 INNER = ["finger0.inner", "finger1.inner"]
@@ -439,7 +438,7 @@ def test_a_recording_that_was_cut_says_so_and_an_empty_one_is_refused(recording,
     assert page.sections["notes"]["notes"][0].startswith("The recording is not complete: ")
     assert captions(page) == ["grasps taught"]
     assert '<section id="sequences">' not in render_report(page)
-    Recorder(tmp_path / "empty.mcap", Clock(), pads=plain_pads((4, 3), (4, 3))).close()
+    Recorder(tmp_path / "empty.mcap", Clock(), pads=make_pads(((4, 3), (4, 3)))).close()
     with pytest.raises(RecordingError, match="no whole grasp and no answer"):
         recorded_report(read_recording(tmp_path / "empty.mcap"))
 

@@ -635,7 +635,7 @@ class Sorter:
         self.model = TaughtModel.load(config, taught.result.model)
         self.tasks = Tasks(self.controller, ModelFile(self.model, None))
         self.parts: list[Part] = []
-        self.tasks.parts.listeners.append(lambda part, _found: self.parts.append(part))
+        self.tasks.parts.listeners.append(lambda part, _verification: self.parts.append(part))
         self.progress: dict[str, Any] = {}
 
     def sort(self, *feed: str) -> None:

@@ -525,7 +525,7 @@ def test_a_turn_without_a_part_is_reported_as_such() -> None:
     model: Any = Mock()
     model.config, controller.identify = small_config(), raising(NoPartFound("no contact"))
     cell = tasks.Tasks(controller, tasks.ModelFile(model, None), wall_s=lambda: 5.0)
-    cell.parts.listeners.append(lambda part, _found: seen.append(part))
+    cell.parts.listeners.append(lambda part, _verification: seen.append(part))
     with pytest.raises(NoPartFound):
         cell.identify(IdentifyGoal(), worker.Report(3, lambda **_fields: None))
     assert seen == [Part(job=3, time_s=5.0, presented="rod")]

@@ -40,7 +40,6 @@ def make_period(
     setpoint_n: float,
     sample: ForceSample | float | None = None,
     *,
-    dt_s: float = PERIOD_S,
     speed_m_s: float = 0.0,
     closed_m: float = 0.0,
     drive_n: float = 0.0,
@@ -72,7 +71,7 @@ def make_period(
         "paths": paths,
     }
     return Period(
-        moment=Moment(now_s=now_s, dt_s=dt_s, state=state, sample=sample),
+        moment=Moment(now_s=now_s, dt_s=PERIOD_S, state=state, sample=sample),
         setpoint_n=setpoint_n,
         **(usual | changes),
     )

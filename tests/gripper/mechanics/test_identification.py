@@ -73,9 +73,9 @@ GEARINGS = {
 
 
 def free_points(
-    gearing: Gearing, *, speeds=SPEEDS_RAD_S, directions=(-1.0, 1.0), offset_a=0.0, seed=1
+    gearing: Gearing, *, speeds=SPEEDS_RAD_S, directions=(-1.0, 1.0), offset_a=0.0
 ) -> list[FreePoint]:
-    draw = np.random.default_rng(seed)
+    draw = np.random.default_rng(1)
     return [
         FreePoint(
             sign * speed,
@@ -183,9 +183,9 @@ def test_the_back_emf_anchors_the_motor_constant_and_no_pad_does(factor: float) 
     usual_v = MODEL.nominal_voltage_v * (1.0 - idle_a / MODEL.stall_current_a)
     k_e = factor * usual_v / MODEL.no_load_rad_s
     points = [voltage_v(MODEL, one, k_e) for one in free_points(GEARINGS["MX-64"])]
-    found_v_s = fit_back_emf(points, MODEL)
-    assert found_v_s == pytest.approx(k_e, rel=0.02)
-    result = anchored(CATALOGUE, MODEL, found_v_s)
+    fitted_v_s = fit_back_emf(points, MODEL)
+    assert fitted_v_s == pytest.approx(k_e, rel=0.02)
+    result = anchored(CATALOGUE, MODEL, fitted_v_s)
     assert result.kt_nm_a == pytest.approx(factor * MODEL.kt_nm_a, rel=0.02)
     assert result.kt_sd < CATALOGUE.kt_sd
     weak_motor = replace(result, rising_a_nm=1.0 / result.kt_nm_a, load_sd=0.02)

@@ -29,21 +29,21 @@ SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1),))
 def test_the_cap_is_noticed_the_sooner_the_more_it_is_passed(over_n, at_most_s) -> None:
     draw = random.Random(4)
     guard = GoalGuard(SETTINGS, ParallelLinkage(link_m=0.06, n_servos=1))
-    found_s = None
+    reported_s = None
     for i in range(2200):
         t_s = 0.005 * i
         force_n = SETTINGS.force_max_n + (over_n if t_s > 10.0 else -0.5) + draw.gauss(0.0, 0.3)
         guard.note_force(
             ForceSample(t_s=t_s, force_n=(force_n, force_n), lag_s=0.0015, noise_n=0.21)
         )
-        if found_s is None and guard.force_is_too_high():
-            found_s = t_s
-    assert 10.0 < found_s <= 10.0 + at_most_s
+        if reported_s is None and guard.force_is_too_high():
+            reported_s = t_s
+    assert 10.0 < reported_s <= 10.0 + at_most_s
 
 
 @pytest.mark.parametrize("at_least", [True, False])
-@pytest.mark.parametrize("shown_n", [35.0, 8.5, 5.0])
-def test_a_force_of_taxels_at_full_scale_is_a_lower_bound(make_cell, shown_n, at_least) -> None:
+@pytest.mark.parametrize("measured_n", [35.0, 8.5, 5.0])
+def test_a_force_of_taxels_at_full_scale_is_a_lower_bound(make_cell, measured_n, at_least) -> None:
     """Above the cap it is a fault, although no sample of it is used for control."""
     cell = make_cell(force_max_n=6.0, rate_hz=200.0, noise_n=0.1)
     cell.hold_part(RAMP)
@@ -52,9 +52,9 @@ def test_a_force_of_taxels_at_full_scale_is_a_lower_bound(make_cell, shown_n, at
 
     def fill() -> None:
         cell.sensor.valid, cell.sensor.at_least = False, at_least
-        cell.sensor.measure = lambda now_s, _: measure(now_s, (shown_n, shown_n))
+        cell.sensor.measure = lambda now_s, _: measure(now_s, (measured_n, measured_n))
 
-    above, look, seen_s = at_least and shown_n > 6.0, cell.once(fill), [0.0]
+    above, look, seen_s = at_least and measured_n > 6.0, cell.once(fill), [0.0]
 
     def observe(cycle: Cycle) -> None:
         seen_s[0] = cycle.t_s

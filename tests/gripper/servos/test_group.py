@@ -119,10 +119,10 @@ def goals(angle_rad: float, current_a: float) -> list[ServoGoal]:
     return [ServoGoal(angle_rad=angle_rad, current_a=current_a)]
 
 
-@pytest.mark.parametrize(("last_rad", "kept_rad"), [(0.40, 0.40), (0.60, 0.50)])
-def test_a_frozen_finger_never_opens(last_rad: float, kept_rad: float) -> None:
+@pytest.mark.parametrize(("last_rad", "held_rad"), [(0.40, 0.40), (0.60, 0.50)])
+def test_a_frozen_finger_never_opens(last_rad: float, held_rad: float) -> None:
     state = make_state(servos=(make_servo(angle_rad=0.5),))
-    assert frozen(goals(last_rad, 0.3), state) == goals(kept_rad, 0.3)
+    assert frozen(goals(last_rad, 0.3), state) == goals(held_rad, 0.3)
 
 
 def test_a_push_does_not_stay_on_a_frozen_finger() -> None:

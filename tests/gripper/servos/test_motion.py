@@ -13,23 +13,23 @@ COUNT_RAD = XM430_W350.rad_per_pulse
 PERIOD_MS = 5
 
 
-def speeds(ways_rad, *, dither=0.0, seed=1, start_ms=32_700) -> list[float]:
+def speeds(ways_rad, *, dither=0.0) -> list[float]:
     """Return the speeds by rounded positions, one each 5 ms; None is a lost answer."""
-    motion, rng = ServoMotion(XM430_W350), random.Random(seed)
+    motion, rng = ServoMotion(XM430_W350), random.Random(1)
     measured = []
     for index, rad in enumerate(ways_rad):
         if rad is not None:
             count = round(rad / COUNT_RAD + rng.gauss(0.0, dither))
-            tick_ms = (start_ms + index * PERIOD_MS) % TICK_MODULO
+            tick_ms = (32_700 + index * PERIOD_MS) % TICK_MODULO
             measured.append(motion.speed_rad_s(tick_ms, count * COUNT_RAD))
     return measured
 
 
-def ramp(*rates_rad_s: float, periods: int = 60) -> list[float]:
-    """Return positions of motions at one rate after the other."""
+def ramp(*rates_rad_s: float) -> list[float]:
+    """Return positions of motions of 60 periods at one rate after the other."""
     ways, rad = [], 0.3 * COUNT_RAD
     for rate_rad_s in rates_rad_s:
-        for _ in range(periods):
+        for _ in range(60):
             ways.append(rad)
             rad += rate_rad_s * PERIOD_MS * 1e-3
     return ways
@@ -39,8 +39,8 @@ def test_a_first_position_shows_no_speed_and_a_repeated_one_replaces_it() -> Non
     motion = ServoMotion(XM430_W350)
     assert [motion.speed_rad_s(100, rad) for rad in (0.0, 0.001, 0.0)][::2] == [0.0, 0.0]
     for t_ms in range(105, 141, 5):
-        found_rad_s = motion.speed_rad_s(t_ms, 1e-3 * (t_ms - 100))
-    assert found_rad_s == pytest.approx(1.0)
+        measured_rad_s = motion.speed_rad_s(t_ms, 1e-3 * (t_ms - 100))
+    assert measured_rad_s == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -17,13 +17,12 @@ def refused(
     *,
     lags: Callable[[float], bool] = lambda _now_s: False,
     pauses: bool = False,
-    seed: int = 1,
 ) -> tuple[int, int, int]:
     """Return how many new answers were refused, how many old ones, and how many old ones came.
 
     A clock runs at a rate; where it lags each answer is the one of the period before.
     """
-    generator, watch = random.Random(seed), TickWatch()
+    generator, watch = random.Random(1), TickWatch()
     now_s, made_s, tick_s, before_ms = 0.0, 0.0, 30.0 * generator.random(), 0
     new = old = came = 0
     while now_s < seconds:

@@ -17,6 +17,8 @@ from recognition.features.groups import FEATURE_GROUPS, features_of
 from recognition.grasp import Grasp, PadArray
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import learn_rest
+from tests.recognition.conftest import OBJECTS, make_grasps
+from tests.values import make_pads
 
 PADS = PadArray.grid(2, 2, 3e-3)
 
@@ -67,8 +69,8 @@ K = 5
 
 
 @pytest.fixture(scope="module")
-def grid(factory):
-    return pad_grid(factory.pads(shapes=((24, 24),)), 0)
+def grid():
+    return pad_grid(make_pads(shapes=((24, 24),)), 0)
 
 
 def patch(grid, *, sx=8.0, sy=5.0, turn=0.0, at=(0.0, 0.0), height=0.6):
@@ -91,11 +93,11 @@ def profile(maps, grid):
     return profile_features([describe_footprint(maps, QUIET, grid)])[0]
 
 
-def test_pitch_comes_from_the_positions(factory):
-    assert pad_grid(factory.pads(), 1).pitch_mm == pytest.approx([3.0, 3.0])
-    assert pad_grid(factory.pads(shapes=((5, 1),)), 0).pitch_mm == pytest.approx([3.0, 1.0])
+def test_pitch_comes_from_the_positions():
+    assert pad_grid(make_pads(), 1).pitch_mm == pytest.approx([3.0, 3.0])
+    assert pad_grid(make_pads(shapes=((5, 1),)), 0).pitch_mm == pytest.approx([3.0, 1.0])
     # Scattered taxels, as of barometers under rubber: two rows may lie within a hair.
-    scattered = factory.pads(shapes=((4, 1),))
+    scattered = make_pads(shapes=((4, 1),))
     xy_m = 1e-3 * np.array([[0.0, 0.03], [6.0, -0.03], [6.001, 0.0], [-3.0, 0.0]])
     scattered = dataclasses.replace(scattered, taxel_xy_m=xy_m)
     assert pad_grid(scattered, 0).pitch_mm == pytest.approx([3.0, 1.0], abs=1e-3)
@@ -140,8 +142,8 @@ def test_noise_below_three_sigma_is_not_a_patch():
     assert pressed(maps, np.array([[0.01]]))[0, 0].tolist() == [0.0, 0.05, 0.5]
 
 
-def test_harmonics_are_the_answers_of_the_plain_formula(factory):
-    pad = pad_grid(factory.pads(shapes=((7, 5),)), 0)
+def test_harmonics_are_the_answers_of_the_plain_formula():
+    pad = pad_grid(make_pads(shapes=((7, 5),)), 0)
     maps = np.random.default_rng(3).uniform(0.05, 0.6, (1, K, 35))
     harmonics = harmonic_features([describe_footprint(maps, QUIET, pad)]).reshape(2, 3, 6, 2)
     area = float(np.prod(pad.pitch_mm))
@@ -188,9 +190,9 @@ def test_opening_features_give_size_and_squeeze(train):
 # -- The table of feature groups: nothing forgotten, and vectors of the groups that are used -------
 
 
-def test_one_pad_has_no_other_to_compare_with(factory):
-    pads = factory.pads(shapes=((10, 6),))
-    grasps = factory.many(2, seed=0, pads=pads, gripping=(0,))
+def test_one_pad_has_no_other_to_compare_with():
+    pads = make_pads(shapes=((10, 6),))
+    grasps = make_grasps(2, seed=0, pads=pads, gripping=(0,))
     rest = learn_rest(grasps)
     levels = load_levels(grasps, rest)
     alone = [describe_footprint(levels.maps[0], levels.noise[..., 0], pad_grid(pads, 0))]
@@ -201,9 +203,9 @@ def test_one_pad_has_no_other_to_compare_with(factory):
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 6), (2, 1), (2, 2), (6, 2)])
-def test_pads_of_one_or_two_rows_have_every_feature(factory, shape):
-    pads = factory.pads(shapes=(shape, shape))
-    grasps = factory.many(3, seed=1, pads=pads, objects=factory.objects[:2])
+def test_pads_of_one_or_two_rows_have_every_feature(shape):
+    pads = make_pads(shapes=(shape, shape))
+    grasps = make_grasps(3, seed=1, pads=pads, objects=OBJECTS[:2])
     rest = learn_rest(grasps)
     levels = load_levels(grasps, rest)
     for opening in (True, False):

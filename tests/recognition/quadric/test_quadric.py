@@ -12,7 +12,7 @@ from recognition.quadric.level import main_patch
 from recognition.quadric.quadric import fit_height_field, height_field_matrix
 from recognition.quadric.thresholds import check_level, find_thresholds, with_noise
 from recognition.quadric.trajectory import PAPER_SWEEP, SweepSettings, sweep
-from tests.recognition.conftest import make_pads
+from tests.values import make_pads
 
 PADS = make_pads(shapes=((16, 4), (16, 4)), adc_max=255, pitch_m=4e-3)
 

@@ -9,7 +9,8 @@ from recognition.features.aperture import aperture_features
 from recognition.features.footprint import describe_footprint, growth_features, pad_grid
 from recognition.ramp.levels import LOAD_FRACTIONS, load_levels
 from recognition.ramp.ramp import Rest, find_ramp, held_part, learn_rest
-from tests.recognition.conftest import part
+from tests.recognition.conftest import OBJECTS, make_grasp, make_grasps, part
+from tests.values import make_pads
 
 
 @pytest.fixture
@@ -17,20 +18,20 @@ def rest(train) -> Rest:
     return learn_rest(train)
 
 
-def test_the_pads_that_rise_are_the_gripping_ones(factory):
-    pads = factory.pads(shapes=((4, 4), (10, 6), (6, 2), (10, 6)), adc_max=255)
-    grasps = factory.many(3, seed=3, pads=pads, gripping=(1, 3), noise_counts=16.0)
+def test_the_pads_that_rise_are_the_gripping_ones():
+    pads = make_pads(shapes=((4, 4), (10, 6), (6, 2), (10, 6)), adc_max=255)
+    grasps = make_grasps(3, seed=3, pads=pads, gripping=(1, 3), noise_counts=16.0)
     rest = learn_rest(grasps)
     assert rest.gripping == (1, 3)
     assert rest.noise_counts == pytest.approx([4.5, 4.5], abs=1.5)
 
 
-def test_each_finger_that_is_pressed_grips_and_two_of_them_are_a_touch(factory):
-    pads = factory.pads(shapes=((4, 3),) * 5)
-    bar, block = factory.objects[:2]
-    taught = factory.many(3, seed=3, pads=pads, objects=[bar], gripping=(0, 1), noise_counts=8.0)
-    taught += factory.many(3, seed=4, pads=pads, objects=[block], gripping=(0, 3), noise_counts=8.0)
-    taught += factory.many(3, seed=5, pads=pads, objects=[block], gripping=(1, 3), noise_counts=8.0)
+def test_each_finger_that_is_pressed_grips_and_two_of_them_are_a_touch():
+    pads = make_pads(shapes=((4, 3),) * 5)
+    bar, block = OBJECTS[:2]
+    taught = make_grasps(3, seed=3, pads=pads, objects=[bar], gripping=(0, 1), noise_counts=8.0)
+    taught += make_grasps(3, seed=4, pads=pads, objects=[block], gripping=(0, 3), noise_counts=8.0)
+    taught += make_grasps(3, seed=5, pads=pads, objects=[block], gripping=(1, 3), noise_counts=8.0)
     rest = learn_rest(taught)
     assert rest.gripping == (0, 1, 3)
     for grasp in taught:
@@ -38,15 +39,15 @@ def test_each_finger_that_is_pressed_grips_and_two_of_them_are_a_touch(factory):
         assert ramp.touched
         assert np.count_nonzero(ramp.touch == grasp.n_frames) == 1
         assert abs(ramp.start - 8) <= 4
-    alone = factory.one(bar, np.random.default_rng(6), pads=pads, gripping=(1,))
+    alone = make_grasp(bar, np.random.default_rng(6), pads=pads, gripping=(1,))
     assert not find_ramp(alone, rest).touched
 
 
-def test_a_rest_above_all_frames_cuts_nothing_off(factory):
-    pads = factory.pads(shapes=((4, 3),) * 3)
-    rest = learn_rest(factory.many(3, seed=3, pads=pads, gripping=(0, 1, 2)))
+def test_a_rest_above_all_frames_cuts_nothing_off():
+    pads = make_pads(shapes=((4, 3),) * 3)
+    rest = learn_rest(make_grasps(3, seed=3, pads=pads, gripping=(0, 1, 2)))
     rest.counts[pads.taxels_of(2)] += 20_000.0
-    pressed = factory.one(factory.objects[0], np.random.default_rng(6), pads=pads)
+    pressed = make_grasp(OBJECTS[0], np.random.default_rng(6), pads=pads)
     loaded = part(pressed, np.arange(-5, 0))
     ramp = find_ramp(loaded, rest)
     assert ramp.touched
@@ -59,7 +60,7 @@ def test_rest_follows_an_offset_that_was_not_taught(rest, train):
     assert find_ramp(lifted, rest).load == pytest.approx(find_ramp(train[0], rest).load)
 
 
-def test_touch_is_the_first_frame_of_the_lasting_contact(factory, pads, train):
+def test_touch_is_the_first_frame_of_the_lasting_contact(pads, train):
     ramp = find_ramp(train[0], learn_rest(train))
     assert ramp.touched
     assert ramp.start == pytest.approx(9, abs=2)
@@ -76,9 +77,9 @@ def test_no_contact_is_not_touched(rest, train):
     assert ramp.start == empty.n_frames - 1
 
 
-def test_noise_alone_is_not_touched(factory):
-    pads = factory.pads(adc_max=255)
-    grasps = factory.many(3, seed=4, pads=pads, noise_counts=20.0)
+def test_noise_alone_is_not_touched():
+    pads = make_pads(adc_max=255)
+    grasps = make_grasps(3, seed=4, pads=pads, noise_counts=20.0)
     rest = learn_rest(grasps)
     rng = np.random.default_rng(0)
     noise = np.clip(np.abs(rng.normal(0, 10, grasps[0].counts.shape)), 1, 20).astype(np.uint16)
@@ -139,19 +140,19 @@ def test_gaps_in_the_opening_are_bridged_and_a_missing_one_stays_missing(rest, t
     assert np.all(np.isnan(load_levels([none], rest).aperture_mm))
 
 
-def test_rest_refuses_what_it_cannot_learn_from(factory, train):
+def test_rest_refuses_what_it_cannot_learn_from(train):
     with pytest.raises(ValueError, match="no grasps"):
         learn_rest([])
-    other = factory.many(1, seed=0, pads=factory.pads(shapes=((8, 6), (8, 6))))
+    other = make_grasps(1, seed=0, pads=make_pads(shapes=((8, 6), (8, 6))))
     with pytest.raises(ValueError, match="different pads"):
         learn_rest([*train, *other])
     with pytest.raises(ValueError, match="teach on these pads"):
         find_ramp(other[0], learn_rest(train))
 
 
-def test_a_drift_of_all_taxels_is_no_load_however_large(factory):
-    pads = factory.pads(adc_max=255)
-    grasps = factory.many(3, seed=4, pads=pads, noise_counts=16.0)
+def test_a_drift_of_all_taxels_is_no_load_however_large():
+    pads = make_pads(adc_max=255)
+    grasps = make_grasps(3, seed=4, pads=pads, noise_counts=16.0)
     rest = learn_rest(grasps)
     whole = find_ramp(grasps[0], rest)
     lifted = dataclasses.replace(grasps[0], counts=np.minimum(grasps[0].counts + 25, 255))
@@ -185,9 +186,9 @@ def test_a_spike_of_one_frame_is_no_load(rest, train):
     assert np.abs(spiky.load - clean.load).max() < limit
 
 
-def test_a_taxel_that_sticks_reads_as_those_beside_it(factory):
-    pads = factory.pads(shapes=((10, 6), (10, 6)), adc_max=255)
-    grasps = factory.many(3, seed=3, pads=pads, noise_counts=16.0)
+def test_a_taxel_that_sticks_reads_as_those_beside_it():
+    pads = make_pads(shapes=((10, 6), (10, 6)), adc_max=255)
+    grasps = make_grasps(3, seed=3, pads=pads, noise_counts=16.0)
     rest = learn_rest(grasps)
     clean = find_ramp(grasps[0], rest)
     top = int(np.argmax(clean.rise[0][-5:].mean(axis=0)))

@@ -7,7 +7,8 @@ from recognition.errors import ContactError, QuadricError
 from recognition.quadric.level import MeanFrames, frames_at, level_of
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
-from tests.recognition.conftest import grasp_of, make_pads, part
+from tests.recognition.conftest import grasp_of, part
+from tests.values import make_pads
 
 PAPER_FINGER = ((16, 4), (16, 4), (16, 2), (16, 2), (6, 2))
 

@@ -16,7 +16,8 @@ from recognition.recognizers import DEFAULT_TRAINER, make_trainer, trainer_names
 from recognition.recognizers.force_ramp.view import describe
 from recognition.recognizers.force_ramp.view_training import even_in_time
 from tests.marks import LONG
-from tests.recognition.conftest import accuracy, part
+from tests.recognition.conftest import OBJECTS, accuracy, make_grasps, part
+from tests.values import make_pads
 
 
 @pytest.fixture(scope="module")
@@ -60,24 +61,24 @@ def test_most_familiar_grasps_are_known_and_an_untaught_object_is_not(teach, fre
 
 
 @pytest.mark.slow
-def test_8_bit_pads_among_others_with_one_sided_noise(factory):
-    pads = factory.pads(shapes=((12, 4), (12, 4), (6, 2), (12, 4)), adc_max=255)
+def test_8_bit_pads_among_others_with_one_sided_noise():
+    pads = make_pads(shapes=((12, 4), (12, 4), (6, 2), (12, 4)), adc_max=255)
     options = {"pads": pads, "gripping": (0, 3), "noise_counts": 20.0, "n_ramp": 60}
-    recognizer = make_trainer("force_ramp").fit(factory.many(8, seed=5, **options))
-    assert accuracy(recognizer, factory.many(4, seed=6, **options)) >= 0.95
+    recognizer = make_trainer("force_ramp").fit(make_grasps(8, seed=5, **options))
+    assert accuracy(recognizer, make_grasps(4, seed=6, **options)) >= 0.95
 
 
 @pytest.mark.slow
-def test_a_hand_of_five_fingers_of_which_an_object_presses_two(factory):
-    pads = factory.pads(shapes=((4, 3),) * 5)
-    bar, block, *_ = factory.objects
+def test_a_hand_of_five_fingers_of_which_an_object_presses_two():
+    pads = make_pads(shapes=((4, 3),) * 5)
+    bar, block, *_ = OBJECTS
     held = ((bar, "thumb", (0, 1)), (bar, "palm", (0, 3)), (block, "thumb", (1, 3)))
 
     def grasps(n: int, seed: int) -> list[Grasp]:
         return [
             dataclasses.replace(grasp, label=f"{grasp.label} {how}")
             for made, how, gripping in held
-            for grasp in factory.many(n, seed=seed, pads=pads, objects=[made], gripping=gripping)
+            for grasp in make_grasps(n, seed=seed, pads=pads, objects=[made], gripping=gripping)
         ]
 
     recognizer = make_trainer("force_ramp").fit(grasps(8, seed=5))
@@ -131,8 +132,8 @@ def test_taught_without_an_opening_it_answers_with_and_without(train, fresh):
     assert accuracy(make_trainer("force_ramp").fit(blind), fresh) >= 0.8
 
 
-def test_other_pads_are_refused(taught, factory):
-    other = factory.many(1, seed=0, pads=factory.pads(adc_max=255))
+def test_other_pads_are_refused(taught):
+    other = make_grasps(1, seed=0, pads=make_pads(adc_max=255))
     with pytest.raises(ValueError, match="teach on these pads"):
         taught.posterior(other[0])
 
@@ -160,8 +161,8 @@ def test_one_object_alone_is_told_from_all_others(teach, fresh):
     ("n", "taught"),
     [(6, ("pin",)), LONG(6, ("block", "pin")), LONG(6, ("bar", "pin")), (3, ("bar", "disc"))],
 )
-def test_few_grasps_of_few_objects_name_no_other_one(factory, pads, fresh, n, taught):
-    few = [g for g in factory.many(n, seed=3, pads=pads) if g.label in taught]
+def test_few_grasps_of_few_objects_name_no_other_one(pads, fresh, n, taught):
+    few = [g for g in make_grasps(n, seed=3, pads=pads) if g.label in taught]
     recognizer = make_trainer("force_ramp").fit(few)
     names = [(g.label, recognizer.posterior(g).name) for g in fresh]
     assert np.mean([name == label for label, name in names if label in taught]) >= 0.7
@@ -227,11 +228,11 @@ def test_within_an_hour_on_the_cell_that_taught_nothing_has_drifted(train, fresh
 
 
 @pytest.mark.slow
-def test_objects_that_only_their_size_tells_apart_have_no_name_on_another_day(factory, pads):
-    _, _, disc, egg, pin = factory.objects
+def test_objects_that_only_their_size_tells_apart_have_no_name_on_another_day(pads):
+    _, _, disc, egg, pin = OBJECTS
     objects = (disc, dataclasses.replace(disc, label="thicker", opening_mm=23.0), egg, pin)
-    taught = make_trainer("force_ramp").fit(factory.many(10, seed=1, pads=pads, objects=objects))
-    grasps = factory.many(5, seed=2, pads=pads, objects=objects)
+    taught = make_trainer("force_ramp").fit(make_grasps(10, seed=1, pads=pads, objects=objects))
+    grasps = make_grasps(5, seed=2, pads=pads, objects=objects)
     drifts = [Drift(aperture_offset_m=mm * 1e-3) for mm in (-3.0, -1.0, 0.0, 1.0, 3.0)]
     later = [a_day_later(drift.apply(grasp)) for drift in drifts for grasp in grasps]
     names = [(taught.posterior(grasp).name, grasp.label) for grasp in later]

@@ -15,6 +15,8 @@ from recognition.shape.foam import FoamModel, PadBed
 from recognition.shape.models import SHAPE_MODELS
 from recognition.shape.pressed_pads import reduce_to_pads
 from recognition.shape.residuals import PadUncertainty
+from tests.recognition.conftest import OBJECTS, make_grasp
+from tests.values import make_pads
 
 N_OWN = {kind: model.n_own for kind, model in SHAPE_MODELS.items()}
 ZERO_SD = 0.2
@@ -393,9 +395,9 @@ def test_an_untouched_pad_tells_nothing(pads: PadArray) -> None:
         (((1, 1),) * 14, "1 x 1 taxels form no grid"),
     ],
 )
-def test_pads_that_show_no_shape_are_refused(factory, shapes, why) -> None:
-    pads = factory.pads(shapes=shapes)
-    grasp = factory.one(factory.objects[0], np.random.default_rng(0), pads=pads)
+def test_pads_that_show_no_shape_are_refused(shapes, why) -> None:
+    pads = make_pads(shapes=shapes)
+    grasp = make_grasp(OBJECTS[0], np.random.default_rng(0), pads=pads)
     with pytest.raises(ContactError, match=why):
         shape_of(grasp)
 

@@ -388,32 +388,32 @@ def test_position_mode_reaches_its_goal_and_says_so():
 
 
 @pytest.mark.parametrize(
-    ("mode", "goal_item", "goal", "shown_item"),
+    ("mode", "goal_item", "goal", "read_item"),
     [(0, (102, 2), -80, (126, 2)), (1, (104, 4), -40, (128, 4)), (16, (100, 2), -200, (124, 2))],
     ids=["current", "velocity", "pwm"],
 )
-def test_current_velocity_and_pwm_modes(mode, goal_item, goal, shown_item):
+def test_current_velocity_and_pwm_modes(mode, goal_item, goal, read_item):
     pressing = ServoBench(settings={"operating_mode": mode})
     assert pressing.write(1, *goal_item, 0) == 0
     pressing.write(1, 64, 1, 1)
     assert pressing.write(1, *goal_item, goal) == 0
     pressing.clock.sleep(0.2)
-    assert pressing.read(1, *shown_item, signed=True) == pytest.approx(goal, abs=3)
+    assert pressing.read(1, *read_item, signed=True) == pytest.approx(goal, abs=3)
     assert pressing.motors[0].velocity_rad_s < 0.0
 
 
 @pytest.mark.parametrize(
-    ("mode", "goal_address", "limit", "shown_address"),
+    ("mode", "goal_address", "limit", "read_address"),
     [(0, 102, (38, 2, 90), 126), (16, 100, (36, 2, 300), 124)],
     ids=["current", "pwm"],
 )
-def test_a_limit_lowered_afterwards_bounds_the_goal(mode, goal_address, limit, shown_address):
+def test_a_limit_lowered_afterwards_bounds_the_goal(mode, goal_address, limit, read_address):
     pressing = ServoBench(settings={"operating_mode": mode})
     pressing.write(1, goal_address, 2, -700)
     pressing.write(1, *limit)
     pressing.write(1, 64, 1, 1)
     pressing.clock.sleep(0.05)
-    assert pressing.read(1, shown_address, 2, signed=True) == pytest.approx(-limit[-1], abs=2)
+    assert pressing.read(1, read_address, 2, signed=True) == pytest.approx(-limit[-1], abs=2)
 
 
 def test_the_gains_reach_the_motor():

@@ -51,8 +51,8 @@ def test_empty_pads_meet_foam_on_foam() -> None:
 class HandMovedFingers:
     """Fingers that the test puts where it wants."""
 
-    def __init__(self, half_m: float = 12e-3) -> None:
-        self.finger_position_m = (half_m, half_m)
+    def __init__(self) -> None:
+        self.finger_position_m = (12e-3, 12e-3)
         self.steps: list[tuple[tuple[float, float], tuple[float, float]]] = []
 
     def step(

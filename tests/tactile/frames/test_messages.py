@@ -79,9 +79,9 @@ def test_round_trip(*, n_taxels, sample_bytes, counter, status, seed, shuffle) -
     np.testing.assert_array_equal(frame.counts, counts)
 
 
-def message(counter: int, force_n: float = 1.0, t_s: float = 0.0) -> ForceMessage:
+def message(counter: int, force_n: float = 1.0) -> ForceMessage:
     return ForceMessage(
-        t_s=t_s,
+        t_s=0.0,
         counter=counter,
         status=ForceStatus.ZEROED,
         force_n=(force_n, force_n),
@@ -170,10 +170,10 @@ def test_the_zero_comes_back_and_names_the_taxels_that_fail() -> None:
     zero_counts = np.array([0.0, 8.03, 250.0, 17.5])
     bad = np.array([False, False, True, False])
     data = encode_zero(3.5, zero_counts, bad, 255)
-    touch_counts, found_counts, found_bad = read_zero(data, 4, 255)
+    touch_counts, read_counts, read_bad = read_zero(data, 4, 255)
     assert touch_counts == pytest.approx(3.5, abs=0.003)
-    np.testing.assert_allclose(found_counts[~bad], zero_counts[~bad], atol=0.003)
-    np.testing.assert_array_equal(found_bad, bad)
+    np.testing.assert_allclose(read_counts[~bad], zero_counts[~bad], atol=0.003)
+    np.testing.assert_array_equal(read_bad, bad)
     assert int.from_bytes(data[6:8], "little") == BAD_TAXEL
 
 
@@ -198,9 +198,9 @@ Stream = list[bytes]
 Damage = Callable[[Stream, np.random.Generator], Stream]
 
 
-def sent_frames(rng: np.random.Generator, n: int = N_FRAMES) -> dict[int, np.ndarray]:
+def sent_frames(rng: np.random.Generator) -> dict[int, np.ndarray]:
     start = int(rng.integers(0, 0x10000))
-    return {(start + i) & 0xFFFF: rng.integers(0, 256, 408) for i in range(n)}
+    return {(start + i) & 0xFFFF: rng.integers(0, 256, 408) for i in range(N_FRAMES)}
 
 
 def stream_of(frames: dict[int, np.ndarray]) -> Stream:

@@ -246,7 +246,7 @@ def test_a_light_touch_of_a_quiet_pad_may_lack_in_the_messages(*, hidden: bool) 
             check.compare(0.02 * n, force_n, 0.01, hidden_n=force_n if hidden else (0.0, 0.0))
 
 
-def frames_until_found(check: ForceCheck, message_n: float, frame_n: float, **more: Any) -> int:
+def frames_until_fault(check: ForceCheck, message_n: float, frame_n: float, **more: Any) -> int:
     """Return after how many frames a difference that stays is found; 100 for never."""
     centre = more.pop("message_centre", (0.0, 0.0))
     for n in range(1, 100):
@@ -279,7 +279,7 @@ def test_a_difference_is_found_the_sooner_the_larger_it_is(
 ) -> None:
     check = ForceCheck()
     check.reset(taxel_noise_n=taxel_n)
-    n_frames = frames_until_found(check, message_n, frame_n, noise_n=noise_n)
+    n_frames = frames_until_fault(check, message_n, frame_n, noise_n=noise_n)
     assert n_frames == 100 if most == 100 else n_frames <= most
 
 
@@ -310,5 +310,5 @@ def test_a_part_that_leaves_or_is_touched_between_two_messages_is_no_difference(
 def test_centres_that_are_elsewhere_or_missing_are_found(force_n, centre, most) -> None:
     check = ForceCheck()
     check.reset(taxel_noise_n=0.02)
-    n_frames = frames_until_found(check, force_n, force_n, message_centre=centre)
+    n_frames = frames_until_fault(check, force_n, force_n, message_centre=centre)
     assert n_frames == 100 if most == 100 else n_frames <= most

@@ -65,7 +65,7 @@ class FakeCell:
         }
         self.service: Any = served.service
         self._stop, self.service.stop = self.service.stop, self._hold
-        patch.setattr("cell.interfaces.web.state_values", self._shown)
+        patch.setattr("cell.interfaces.web.state_values", self._values)
         for label in BEFORE:
             self._name(label)
         self.url = address(served)
@@ -142,7 +142,7 @@ class FakeCell:
 
     # -- the service -----------------------------------------------------------------------------
 
-    def _shown(self, _service: Service) -> dict[str, Any]:
+    def _values(self, _service: Service) -> dict[str, Any]:
         assert self.sends.wait(60.0)
         self.n_messages += 1
         return self.state

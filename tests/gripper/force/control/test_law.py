@@ -64,10 +64,9 @@ class Grip:
         *,
         stiction: float = 1.6,
         paths: Sequence[Transmission] = PATHS,
-        stiffness_n_m: float = STIFFNESS_N_M,
     ) -> None:
         self.grip, self.paths = make_grip(force_n), paths
-        self.law = ForceLaw(self.grip, 0.0, stiffness_n_m=stiffness_n_m, stiffness_sd=0.5)
+        self.law = ForceLaw(self.grip, 0.0, stiffness_n_m=STIFFNESS_N_M, stiffness_sd=0.5)
         self.finger = Finger(paths[0], self.grip.mass_kg, force_n, stiction)
         self.random, self.periods, self.gain = random.Random(3), 0, 1.0
 
