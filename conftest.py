@@ -10,7 +10,8 @@ import datetime
 import os
 import sys
 import zlib
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
 
 import pytest
 
@@ -49,6 +50,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         help="tests/contract: the real drives of the positioner in --cell-config, too",
     )
+
+
+@pytest.fixture
+def undo() -> Iterator[ExitStack]:
+    """Return the stack of what a test opens; it is closed at the end, the last one first."""
+    with ExitStack() as stack:
+        yield stack
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

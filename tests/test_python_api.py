@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from tests import blocks
 from tests.marks import LONG
 
-PAGE = Path(__file__).parents[1] / "docs/reference/python-api.md"
-EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+EXAMPLES = blocks("reference/python-api.md", "python")
 PRINTED = (
     r"force_reached (4\.[6-9]|5\.[0-4]) N\n",
     r"\(408,\) \(0\.0, 0\.0\)\n",
@@ -32,7 +32,7 @@ FACES = ("gripper", "tactile", "motion", "recognition", "simulator", "cell")
     ],
 )
 def test_the_examples_run_as_they_are_printed(example, printed, capsys) -> None:
-    exec(compile(example, PAGE.name, "exec"), {})
+    exec(compile(example, "example", "exec"), {})
     assert re.fullmatch(printed, capsys.readouterr().out)
 
 

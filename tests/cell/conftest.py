@@ -1,6 +1,7 @@
 """Simulated cells that several tests of the cell share."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cell.build import Cell, build_cell
+from cell.build import build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.lifecycle import CellLifecycle
@@ -146,18 +147,15 @@ MakeBench = Callable[..., Bench]
 
 
 @pytest.fixture
-def make_bench() -> Iterator[MakeBench]:
+def make_bench(undo: ExitStack) -> MakeBench:
     """Return the maker, of quick cells by default; what it has made is closed at the end."""
-    cells: list[Cell] = []
 
     def make(config: CellConfig | None = None, **options: Any) -> Bench:
         chosen = config or quick_config()
-        cells.append(build_cell(chosen, **options))
-        return Bench(config=chosen, cell=cells[-1], simulated=cells[-1].simulated)
+        cell = undo.enter_context(closing(build_cell(chosen, **options)))
+        return Bench(config=chosen, cell=cell, simulated=cell.simulated)
 
-    yield make
-    for cell in cells:
-        cell.close()
+    return make
 
 
 @pytest.fixture

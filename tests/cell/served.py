@@ -133,20 +133,19 @@ def anyio_backend() -> str:
 
 
 @pytest.fixture
-def serve(request: pytest.FixtureRequest) -> Iterator[Callable[..., Served]]:
+def serve(request: pytest.FixtureRequest, undo: ExitStack) -> Callable[..., Served]:
     """Return the maker of services; ``interfaces`` opens them.
 
     Each stands on a stub, or with ``cell``, options of the plugin, on a simulated cell that was
     taught.
     """
-    with ExitStack() as undo:
 
-        def make(*interfaces: str, cell: dict[str, Any] | None = None, **more: Any) -> Served:
-            if cell is not None:
-                cell = {"model": request.getfixturevalue("taught").result.model} | cell
-            return undo.enter_context(serving(*interfaces, cell=cell, **more))
+    def make(*interfaces: str, cell: dict[str, Any] | None = None, **more: Any) -> Served:
+        if cell is not None:
+            cell = {"model": request.getfixturevalue("taught").result.model} | cell
+        return undo.enter_context(serving(*interfaces, cell=cell, **more))
 
-        yield make
+    return make
 
 
 @pytest.fixture
@@ -165,18 +164,16 @@ def tls(tmp_path: Path) -> dict[str, str]:
 
 
 @pytest.fixture
-def make_plugin() -> Iterator[Callable[..., Any]]:
+def make_plugin(undo: ExitStack) -> Callable[..., Any]:
     """Return the maker of plugins on simulated cells: small ones with a model, else quick ones."""
-    made: list[Any] = []
 
     def make(config: CellConfig | None = None, **options: Any) -> Any:
         usual = small_config(**BRISK) if options.get("model") else quick_config()
-        made.append(TactileCellPlugin(config or usual, **options))
-        return made[-1]
+        plugin = TactileCellPlugin(config or usual, **options)
+        undo.callback(plugin.close, LIMIT_S)
+        return plugin
 
-    yield make
-    for plugin in made:
-        plugin.close(LIMIT_S)
+    return make
 
 
 @pytest.fixture

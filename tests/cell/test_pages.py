@@ -24,40 +24,30 @@ from cell.control.plan import GraspStep, Pose
 from cell.interfaces.cli.app import app
 from cell.service.history import History
 from gripper.values.outcome import GraspResult
-from tests import ROOT
+from tests import ROOT, blocks, commands
 from tests.cell.conftest import small_config
-
-PAGES = ROOT / "docs/how-to"
-
-
-def blocks(page: str, language: str) -> list[str]:
-    """Return the blocks of code of a page in a language."""
-    text = (PAGES / page).read_text("utf-8")
-    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
 
 
 def typed(page: str) -> Iterator[str]:
     """Type each of our commands on a page, and yield what each prints."""
-    for line in "".join(blocks(page, "sh")).splitlines():
-        program, *arguments = shlex.split(line, comments=True)
-        if program == "tactile-cell":
-            # A person says yes where it asks.
-            result = CliRunner().invoke(app, arguments, input="y\n", catch_exceptions=False)
-            assert result.exit_code == 0, (line, result.output)
-            yield result.output
+    for arguments in commands(page):
+        # A person says yes where it asks.
+        result = CliRunner().invoke(app, arguments, input="y\n", catch_exceptions=False)
+        assert result.exit_code == 0, (arguments, result.output)
+        yield result.output
 
 
 @pytest.mark.slow
 def test_the_program_has_each_command_and_option_of_the_pages() -> None:
-    commands: dict[frozenset[str], list[str]] = {}
+    uses: dict[frozenset[str], list[str]] = {}
     for page in (ROOT / "README.md", *ROOT.glob("docs/**/*.md")):
         text = page.read_text("utf-8").replace("\\\n", "")
         code = "".join(re.findall(r"(?s:```(?:sh|text)\n.*?```)|^    .*\n", text, re.MULTILINE))
         for line in re.findall(r"^(?:\$ |    )?tactile-cell (.*)", code, re.MULTILINE):
             words = shlex.split(line, comments=True)
-            commands[frozenset(one for one in words if one[0] == "-") | {words[0]}] = words
-    assert len(commands) > 40
-    for words in commands.values():
+            uses[frozenset(one for one in words if one[0] == "-") | {words[0]}] = words
+    assert len(uses) > 40
+    for words in uses.values():
         assert CliRunner().invoke(app, [*words, "--help"]).exit_code == 0, words
 
 
@@ -74,37 +64,37 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
 
 
 def test_the_config_of_the_page_on_keys_is_valid() -> None:
-    (block,) = blocks("../reference/config.md", "yaml")
+    (block,) = blocks("reference/config.md", "yaml")
     assert parse_config(block, source="page").gripper.port.startswith("/dev")
 
 
 @pytest.mark.long
 def test_the_page_on_updates_can_be_typed(here) -> None:
     Path("commissioning.md").write_text("signed")
-    back_up, put_back, *_ = blocks("update.md", "sh")
+    back_up, put_back, *_ = blocks("how-to/update.md", "sh")
     subprocess.run(["bash", "-ec", back_up + put_back], check=True)
     for name in ("commissioning.md", "parts.model.npz", "tactile-cell.yaml"):
         assert Path("../press-4", name).read_bytes() == Path(name).read_bytes()
-    assert re.search(r"\b(ball|box)\b", list(typed("update.md"))[-1])
+    assert re.search(r"\b(ball|box)\b", list(typed("how-to/update.md"))[-1])
 
 
 @pytest.mark.slow
 def test_the_page_on_recordings_can_be_typed(here) -> None:
-    (config,) = blocks("keep-recordings.md", "yaml")
+    (config,) = blocks("how-to/keep-recordings.md", "yaml")
     Path("of-the-page.yaml").write_text(config)
     settings = load_config(Path("of-the-page.yaml")).recording
     assert settings == type(settings)()  # the page shows the defaults
     recording = Path("out/serve-20270115-080000/recording.mcap")
     recording.parent.mkdir(parents=True)
     recording.touch()
-    listed, marked, unmarked = typed("keep-recordings.md")
+    listed, marked, unmarked = typed("how-to/keep-recordings.md")
     assert str(recording) in listed
     assert (marked, unmarked) == (f"{recording}: marked\n", f"{recording}: not marked\n")
     history = History(Path("out/history-press-4.sqlite3"), lambda: STATE)
     history.update()
     history._close_link()
     names: dict[str, Any] = {}
-    (example,) = blocks("keep-recordings.md", "python")
+    (example,) = blocks("how-to/keep-recordings.md", "python")
     exec(example, names)
     assert [row["kind"] for row in names["rows"]] == ["start"]
 
@@ -122,7 +112,7 @@ class STATE:
 )
 def test_the_page_on_hardware_can_be_typed(page, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    *_, checked = typed(f"{page}.md")
+    *_, checked = typed(f"how-to/{page}.md")
     assert "valid" in checked
     (written,) = Path().glob("*.yaml")
     config = load_config(written)
@@ -147,9 +137,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_readme_shows_the_test_that_is_run() -> None:
-    page = (ROOT / "docs/how-to/test-your-cell.md").read_text(encoding="utf-8")
-    quoted, typed = (re.findall(r"```python\n.*?```", text, re.DOTALL) for text in (README, page))
-    assert quoted == typed
+    assert blocks("../README.md", "python") == blocks("how-to/test-your-cell.md", "python")
 
 
 @pytest.mark.slow
@@ -175,7 +163,7 @@ def test_the_quick_start_installs_what_its_commands_need() -> None:
 @pytest.mark.long
 @pytest.mark.timeout(900)
 def test_the_quick_start_does_what_its_comments_say(tmp_path: Path) -> None:
-    *commands, serve = re.findall(r"^    (.+)$", QUICK_START.partition("```")[0], re.MULTILINE)
+    *lines, serve = re.findall(r"^    (.+)$", QUICK_START.partition("```")[0], re.MULTILINE)
     folder = str(Path(sys.executable).parent)
     env = os.environ | {"PATH": f"{folder}:{os.environ['PATH']}", "COLUMNS": "200"}
 
@@ -191,7 +179,7 @@ def test_the_quick_start_does_what_its_comments_say(tmp_path: Path) -> None:
         assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
         return done.stdout
 
-    init, teach, draw, train, identify, sort = map(shell, commands)
+    init, teach, draw, train, identify, sort = map(shell, lines)
     assert "wrote tactile-cell.yaml" in init
     for part in ("ball", "box", "cylinder"):
         assert f"6 of 6 grasps of {part} added" in teach

@@ -1,6 +1,5 @@
 """Plugins: what is built in, packages of others, names that clash, and modules that do not load."""
 
-import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from gripper.dynamixel import models
 from gripper.errors import LimitExceeded
 from recognition.recognizers import RECOGNIZERS as BUILT_IN
 from tactile.layout import inner_pads
-from tests import ROOT
+from tests import blocks
 from tests.cell.conftest import call
 
 Install = Callable[..., None]
@@ -155,11 +154,10 @@ def test_a_servo_of_another_package_is_known_to_the_gripper(installed: Install) 
 # -- The template package of docs/how-to/add.md; `.ci/wheel-test` types what that page prints ------
 
 
-PAGE = (ROOT / "docs/how-to/add.md").read_text(encoding="utf-8")
-
-
 def test_the_layout_on_the_page_has_the_pads_of_the_sensor() -> None:
-    (block,) = re.findall(r"```yaml\n(tactile:\n  layout:.*?)```", PAGE, re.DOTALL)
+    (block,) = (
+        one for one in blocks("how-to/add.md", "yaml") if one.startswith("tactile:\n  layout:")
+    )
     layout = layout_from_config(parse_config(block, source="page").tactile)
     assert layout.name == "dfrobot_6x6"
     assert layout == inner_pads("dfrobot_6x6", 6, 6, 3e-3, adc_max=4095)

@@ -9,7 +9,12 @@ from typing import Any
 
 import pytest
 
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.control_table import REGISTERS, TORQUE_ENABLE
+from gripper.dynamixel.models import XL330_M288, XM430_W350
 from gripper.errors import (
+    AnswersOff,
+    BusCorrupt,
     BusTimeout,
     FeedbackImplausible,
     FingerSilent,
@@ -19,14 +24,18 @@ from gripper.errors import (
     GripperError,
     GripperStateError,
     LimitExceeded,
+    LinkTooSlow,
     PositionContradicted,
     ServoFault,
+    VerificationFailed,
     copy_fingers,
     fingers_left,
 )
 from gripper.force.ramp import ForceRamp
 from gripper.servos import feedback
+from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.state import GripperPhase
+from simulator.servo.faults import Chatter, WireFaults
 from tests.marks import LONG
 from tests.values import raising
 
@@ -263,3 +272,366 @@ def test_currents_that_freeze_in_a_grip_let_no_part_go(
         cell.gripper.hold(1.0)
         cell.gripper.hold_at(2.0, 1.0)
     assert cell.force_n > 0.9 * min(at_n, 2.0)
+
+
+# -- The start: who is there, what the servos are set to, and whether the link keeps up ------------
+
+
+PING_BYTES = 14
+"""Answer to a ping: Model Number and Firmware Version in a status packet."""
+SENTENCE = b"$GPGGA,092751.000,5321.6802,N,00630.3371,W,1,8,1.03,61.7,M\r\n"
+PATTERNS = {
+    "dense": Chatter(data=b"\xa5", every_s=0.0003),
+    "40 bytes each 10 ms": Chatter(data=bytes(range(0x80, 0xA8)), every_s=0.01),
+    "a sentence each 30 ms": Chatter(data=SENTENCE, every_s=0.03),
+}
+
+
+def test_a_servo_with_another_id_is_named_in_the_table(cell) -> None:
+    cell.servos[1].registers.data[7] = 5
+    with pytest.raises(VerificationFailed, match=r"other IDs that answer: 5 \(XM430-W350\)") as bad:
+        cell.gripper.start()
+    (row,) = bad.value.report.failed
+    assert (row.servo_id, row.item, row.expected) == (2, "ping", "an answer at 1000000 baud")
+    assert not cell.servos[0].torque_on
+
+
+@pytest.mark.parametrize("pattern", PATTERNS.values(), ids=PATTERNS)
+def test_a_start_on_a_line_of_another_device_names_what_was_heard(cell, pattern) -> None:
+    cell.device.faults.silent.update({1, 2})
+    cell.device.faults.chatter = pattern
+    with pytest.raises(BusCorrupt, match=r"the servo line did not become quiet.* no packet"):
+        cell.gripper.start()
+    assert cell.clock.monotonic() < 2.0
+
+
+@pytest.mark.parametrize(
+    ("name", "raw"),
+    [
+        ("model_number", 1200),
+        ("secondary_id", 2),
+        ("min_voltage_limit", 60),
+        ("pwm_limit", 100),
+        ("shutdown", 0),
+        ("current_limit", 100),
+        ("drive_mode", 1),
+    ],
+)
+def test_a_changed_eeprom_register_is_shown_expected_against_found(cell, name, raw) -> None:
+    for servo in cell.servos:
+        servo.registers.put(name, raw)
+    with pytest.raises(VerificationFailed, match=rf"servo 2 {name}.*found {raw}") as bad:
+        cell.gripper.start()
+    failed = [(row.servo_id, row.item, row.actual) for row in bad.value.report.failed]
+    assert failed == [(1, name, str(raw)), (2, name, str(raw))]
+    assert cell.torques == [0, 0]
+
+
+@pytest.mark.parametrize("raw", [253, 254, 255])
+def test_a_second_id_that_no_servo_listens_to_is_none(cell, raw: int) -> None:
+    cell.servos[1].registers.put("secondary_id", raw)
+    assert cell.gripper.start().ok
+
+
+def in_protocol_1(cell, servo_id: int) -> None:
+    cell.servos[1].registers.put("protocol_type", 1)
+    cell.servos[1].registers.data[7] = servo_id
+
+
+@pytest.mark.parametrize(
+    ("change", "hint"),
+    [
+        (lambda cell: setattr(cell.device, "baudrate", 57600), "check supply, cable, baud rate"),
+        (lambda cell: in_protocol_1(cell, 1), r"1\.0 come from servo 1: .*\(register 13\) to 2"),
+        (lambda cell: in_protocol_1(cell, 2), r"1\.0 come from servo 2: .*\(register 13\) to 2"),
+    ],
+)
+def test_what_does_not_answer_gets_a_hint(cell, change, hint: str) -> None:
+    change(cell)
+    before_s = cell.clock.monotonic()
+    with pytest.raises(VerificationFailed, match=hint):
+        cell.gripper.start()
+    assert cell.clock.monotonic() - before_s < 2.0
+
+
+def test_what_may_be_corrected_is_a_setting(make_cell) -> None:
+    cell = make_cell(corrected_registers=frozenset({"status_return_level"}))
+    with pytest.raises(VerificationFailed, match=r"operating_mode: expected 5, found 3"):
+        cell.gripper.start()
+    with pytest.raises(LimitExceeded, match="drive_mode"):
+        GripperSettings(
+            servos=(ServoSettings(servo_id=1),), corrected_registers=frozenset({"drive_mode"})
+        )
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_servos_that_confirm_no_write_are_told_to_before_anything_else(cell, level: int) -> None:
+    for servo in cell.servos:
+        servo.registers.put("status_return_level", level)
+    assert cell.gripper.start().ok
+    assert cell.register(1, "status_return_level") == 2
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_level_that_may_not_be_corrected_is_named_with_its_register(make_cell, level) -> None:
+    cell = make_cell(corrected_registers=frozenset({"operating_mode", "return_delay_time"}))
+    cell.servos[1].registers.put("status_return_level", level)
+    with pytest.raises(AnswersOff, match=r"servo 2, although it answers pings: .*\(register 68\)"):
+        cell.gripper.start()
+    assert [str(one) for one in cell.gripper.conditions()] == [
+        "servo 1 has no torque",
+        "servo 2 has no torque"
+        if level
+        else "servo 2 answers pings only: its Status Return Level (register 68) is 0; a start or a "
+        "release sets it to 2",
+    ]
+
+
+@pytest.mark.parametrize("model", [XM430_W350, XL330_M288])
+def test_gains_and_slope_that_the_goals_count_on_are_put_right(make_cell, model) -> None:
+    cell = make_cell(model=model, current_max_a=0.35)
+    wanted = dict(zip(("d", "i", "p"), model.position_gains, strict=True))
+    registers = {f"position_{name}_gain": gain for name, gain in wanted.items()}
+    if model is XL330_M288:
+        registers["pwm_slope"] = 140
+    for name, raw in registers.items():
+        cell.bus.write(1, REGISTERS[name], raw + 7)
+    report = cell.gripper.start()
+    assert {name: cell.register(0, name) for name in registers} == registers
+    rewritten = {row.item for row in report.rows if row.corrected and row.servo_id == 1}
+    assert rewritten >= {"operating_mode"} | ({*registers} & {"pwm_slope"})
+
+
+def test_an_overload_that_is_only_reported_is_a_note_and_keeps_the_grip(cell) -> None:
+    for servo in cell.servos:
+        servo.registers.put("shutdown", 20)
+    cell.hold_part(ForceRamp.linear(2.0, rate_n_s=5.0))
+    cell.gripper.hold(0.5, cell.once(cell.servos[0].plant.overload, in_s=0.1))
+    assert cell.gripper.phase is GripperPhase.HOLDING
+    (note,) = cell.gripper.drives.read().notes
+    assert note == (
+        "servo 1: an overload is only reported: the cell's limit of heat alone protects it"
+    )
+
+
+@pytest.mark.parametrize(
+    ("delay_s", "remedy"),
+    [(0.016, r"latency timer.*raise the baud rate\. Nothing"), (0.004, r"loop_rate_hz to 1\d\d\.")],
+)
+def test_an_adapter_with_much_latency_is_refused_with_the_remedy(cell, delay_s, remedy) -> None:
+    cell.device.faults.delay_s = delay_s
+    with pytest.raises(LinkTooSlow, match=remedy):
+        cell.gripper.start()
+
+
+def test_a_latency_of_2_ms_only_makes_the_time_outs_longer(cell) -> None:
+    cell.device.faults.delay_s = 0.002
+    cell.hold_part(ForceRamp.linear(4.0, rate_n_s=5.0))
+    assert cell.gripper.statistics.missed_reads == 0
+
+
+@pytest.mark.parametrize("how", ["late", "lost"])
+def test_a_machine_that_is_too_busy_is_refused(cell, how) -> None:
+    class Busy(WireFaults):
+        answers = 0
+
+        def answer(self, servo_id: int, packet: bytes) -> list[tuple[float, bytes]]:
+            """Return each third answer to a ping late, or not at all."""
+            self.answers += len(packet) == PING_BYTES
+            third = self.answers % 3 == 0 and len(packet) == PING_BYTES
+            self.delay_s = 0.02 if third and how == "late" else 0.0
+            return [] if third and how == "lost" else super().answer(servo_id, packet)
+
+    cell.device.faults = Busy()
+    with pytest.raises(LinkTooSlow, match="too busy"):
+        cell.gripper.start()
+
+
+# -- Letting go on purpose: with whatever servos still answer, and only ever opening ---------------
+
+
+def leave_part(cell) -> None:
+    cell.hold_part(RAMP)
+    cell.gripper.close()
+
+
+def held_by_one(cell, limp: int = 0):
+    """Hold the part, let a servo shut down, and return the gripper of the next program."""
+    leave_part(cell)
+    cell.servos[limp].plant.overload()
+    cell.clock.sleep(0.1)
+    assert cell.register(limp, "torque_enable") == 0
+    return cell.new_gripper()
+
+
+@pytest.mark.parametrize("limp", [0, 1])
+def test_the_other_finger_opens_where_a_servo_has_shut_down(cell, limp) -> None:
+    gripper = held_by_one(cell, limp)
+    assert cell.force_n > 1.0
+    before_m = cell.mechanics.finger_position_m
+    report = gripper.release()
+    assert cell.force_n == 0.0
+    assert report.opened == (2 - limp,)
+    assert [c.servo_id for c in report.left] == [limp + 1]
+    assert f"servo {limp + 1} has no torque (overload)" in str(report)
+    assert "with a reboot" in str(report)
+    after_m = cell.mechanics.finger_position_m
+    assert after_m[1 - limp] == pytest.approx(0.015, abs=0.001)
+    # The limp finger gives way to the elastic part, and is not moved by more.
+    assert abs(after_m[limp] - before_m[limp]) < 0.001
+    assert cell.torques == [0, 0]
+    assert gripper.phase is GripperPhase.OFF
+    gripper.clear_fault(reboot=True)
+    assert gripper.start().ok
+    gripper.open()
+    assert cell.mechanics.finger_position_m[limp] == pytest.approx(0.015, abs=0.001)
+
+
+@pytest.mark.parametrize("lost", ["answer", "request"])
+def test_a_reboot_is_judged_by_the_servo_not_by_its_answer(cell, monkeypatch, lost) -> None:
+    gripper = held_by_one(cell)
+    gripper.release()
+    reboot = ServoBus.reboot
+
+    def without(bus: ServoBus, servo_id: int) -> None:
+        if lost == "answer":
+            reboot(bus, servo_id)
+        raise BusTimeout("reboot: no answer")
+
+    monkeypatch.setattr(ServoBus, "reboot", without)
+    if lost == "request":
+        with pytest.raises(ServoFault, match="lasts after a reboot"):
+            gripper.clear_fault(reboot=True)
+        return
+    gripper.clear_fault(reboot=True)
+    assert gripper.start().ok
+
+
+@pytest.mark.parametrize("levels", [(0, 0), (1, 1), (2, 0), (1, 2)])
+def test_a_part_is_let_go_by_servos_that_confirm_no_write(make_cell, levels) -> None:
+    cell = make_cell(corrected_registers=frozenset({"operating_mode", "return_delay_time"}))
+    leave_part(cell)
+    for servo, level in zip(cell.servos, levels, strict=True):
+        servo.registers.put("status_return_level", level)
+    assert cell.new_gripper().release().opened == (1, 2)
+    assert cell.force_n == 0.0
+
+
+@pytest.mark.parametrize("how", ["torque 0", "reboot", "low supply"])
+def test_a_servo_that_is_limp_or_has_an_error_with_torque_opens_again(cell, how) -> None:
+    leave_part(cell)
+    if how == "torque 0":
+        cell.bus.write(1, TORQUE_ENABLE, 0)
+    elif how == "reboot":
+        cell.servos[0].boot(cell.clock.monotonic())
+    else:
+        cell.servos[0].plant.voltage_v = 9.0
+    cell.clock.sleep(1.0)
+    assert cell.torques == [how == "low supply", 1]
+    report = cell.new_gripper().release()
+    assert (report.opened, report.left) == ((1, 2), ())
+    assert str(report) == "the fingers are open"
+    assert cell.force_n == 0.0
+    assert report.state.aperture_m == pytest.approx(0.03, abs=0.001)
+
+
+def test_the_finger_that_answers_opens_where_the_other_is_silent(cell) -> None:
+    leave_part(cell)
+    cell.device.faults.silent.add(1)
+    report = cell.new_gripper().release()
+    assert cell.force_n == 0.0
+    assert report.opened == (2,)
+    assert "servo 1 does not answer" in str(report)
+    assert "may still have its torque" in str(report)
+
+
+def test_a_started_gripper_lets_go_after_a_clear_too(cell) -> None:
+    cell.hold_part(RAMP)
+    with pytest.raises(ServoFault) as fault:
+        cell.gripper.hold(1.0, lambda _: cell.bus.write(1, TORQUE_ENABLE, 0))
+    assert "may still be gripped (the pads measured" in fingers_left(fault.value)
+    cell.gripper.clear_fault()
+    assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
+    for _ in range(8):
+        cell.gripper.tick()
+    assert cell.gripper.release().opened == (1, 2)
+    assert cell.force_n == 0.0
+    assert cell.gripper.phase is GripperPhase.IDLE
+
+
+def test_nothing_is_opened_where_no_servo_can_be_moved_and_the_way_on_is_named(make_cell) -> None:
+    cell = make_cell(n_servos=1, linkage="rack")
+    held_by_one(cell)
+    with pytest.raises(ServoFault, match=r"no finger can be opened: servo 1 has no torque .*hand"):
+        cell.new_gripper().release()
+    cell.device.faults.silent.add(1)
+    with pytest.raises(BusTimeout, match="check supply"):
+        cell.new_gripper().release()
+
+
+def test_a_servo_that_does_not_match_is_made_limp_and_the_message_says_so(cell) -> None:
+    leave_part(cell)
+    cell.servos[1].registers.put("drive_mode", 1)
+    with pytest.raises(VerificationFailed, match="torque is off now and the fingers did not open"):
+        cell.new_gripper().release()
+    assert cell.torques == [0, 0]
+
+
+def test_a_release_of_one_finger_can_be_stopped_and_ended_later(make_cell) -> None:
+    cell = make_cell(aperture_open_m=0.04)
+    gripper = held_by_one(cell)
+
+    def stop(cycle) -> None:
+        if cycle.state.aperture_m > 0.02:
+            gripper.request_stop()
+
+    with pytest.raises(GraspStopped) as stopped:
+        gripper.release(stop)
+    assert "stopped while letting go" in fingers_left(stopped.value)
+    assert gripper.fault is None
+    assert gripper.phase is GripperPhase.HELD_AFTER_FAULT
+    gripper.keep_grip()
+    stood_m = cell.mechanics.finger_position_m[1]
+    assert stood_m < 0.015
+    cell.clock.sleep(1.0)
+    assert cell.mechanics.finger_position_m[1] == pytest.approx(stood_m, abs=3e-4)
+    assert cell.torques == [0, 1]
+    assert gripper.release().opened == (2,)
+    assert cell.mechanics.finger_position_m[1] == pytest.approx(0.02, abs=0.001)
+
+
+def test_a_release_closes_no_finger_that_stands_wide_open(make_started) -> None:
+    cell = make_started(aperture_m=0.07, aperture_open_m=0.018, force_max_n=9.0, present=False)
+    assert cell.gripper.release().state.aperture_m == pytest.approx(0.07, abs=0.002)
+    cell.clock.sleep(0.5)
+    assert cell.mechanics.aperture_m == pytest.approx(0.07, abs=0.002)
+    assert cell.gripper.open().aperture_m == pytest.approx(0.018, abs=0.001)
+
+
+def test_a_finger_whose_position_has_leapt_is_not_said_to_be_open(cell) -> None:
+    cell.hold_part(RAMP)
+    cell.servos[0].plant.encoder_offset_rad += 0.3
+    with pytest.raises(FeedbackImplausible, match="leapt"):
+        cell.gripper.hold(1.0)
+    cell.gripper.clear_fault()
+    report = cell.gripper.release()
+    assert report.opened == (2,)
+    assert "servo 1 has no torque, and where its finger is, is unknown" in str(report)
+    assert cell.torques == [0, 0]
+    with pytest.raises(FeedbackImplausible, match=r"leapt .* not restarted since then"):
+        cell.gripper.start()
+    cell.servos[0].plant.encoder_offset_rad += -0.3
+    cell.gripper.clear_fault(reboot=True)
+    cell.gripper.start()
+    assert cell.gripper.open().aperture_m == pytest.approx(0.03, abs=0.001)
+    assert str(cell.gripper.release()) == "the fingers are open"
+
+
+def test_a_finger_that_is_said_to_stand_too_wide_open_is_named(started) -> None:
+    started.gripper.open()
+    started.gripper.close()
+    started.servos[0].plant.encoder_offset_rad += 0.3
+    started.clock.sleep(2.0)
+    report = started.gripper.release()
+    assert report.wider == (1,)
+    assert "the finger of servo 1 was not moved" in str(report)

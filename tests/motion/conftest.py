@@ -1,7 +1,8 @@
 """A simulated drive and a simulated wrist, in virtual time, with the axes that command them."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -90,9 +91,7 @@ MakeDrive = Callable[..., DriveBench]
 
 
 @pytest.fixture
-def make_drive() -> Iterator[MakeDrive]:
-    buses: list[InMemoryCanBus] = []
-
+def make_drive(undo: ExitStack) -> MakeDrive:
     def make(*, start_m: float = 3e-3, **changes: Any) -> DriveBench:
         settings = replace(SETTINGS, **changes)
         clock = VirtualClock()
@@ -108,15 +107,13 @@ def make_drive() -> Iterator[MakeDrive]:
         )
         link = CanLink(simulated)
         bus = InMemoryCanBus(link, clock)
-        buses.append(bus)
+        undo.callback(bus.shutdown)
         clock.sleep(BOOT_S)
         watch = Watch(clock, 0.005)
         drive = Cia402Drive(settings, DriveBus(bus, watch, 0.125))
         return DriveBench(clock, simulated, link, bus, drive, Axes([drive], watch))
 
-    yield make
-    for bus in buses:
-        bus.shutdown()
+    return make
 
 
 @dataclass

@@ -25,6 +25,7 @@ from gripper.dynamixel.serial_port import SerialStream
 from gripper.errors import BusTimeout
 from pytest_tactile_cell.process import CellProcessError
 from tactile.errors import FrameTimeout
+from tests import blocks
 from tests.cell.conftest import COARSE_PADS
 from tests.marks import LONG
 
@@ -176,7 +177,7 @@ def test_faults_end_with_the_test_whatever_the_order_of_fixtures(pytester) -> No
 @pytest.mark.slow
 def test_what_the_docs_show_works(pytester) -> None:
     page = (Path(__file__).parents[2] / "docs" / "how-to" / "test-your-cell.md").read_text()
-    (code,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    (code,) = blocks("how-to/test-your-cell.md", "python")
     (mark,) = re.findall(r"`(pytest\.mark\.skipif\(.*?\))`", page)
     pytester.makepyfile(f"{code}\n\n@{mark}\ndef test_of_the_simulator(): pass\n")
     run(pytester).assert_outcomes(passed=2)

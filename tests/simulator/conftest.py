@@ -3,7 +3,8 @@
 import select
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -118,14 +119,12 @@ class Driver:
 
 
 @pytest.fixture
-def serve(tmp_path: Path) -> Iterator[Callable[..., Driver]]:
+def serve(tmp_path: Path, undo: ExitStack) -> Callable[..., Driver]:
     """Return what puts a bench on a pseudo-terminal; takes what `ServoBench` takes."""
-    drivers: list[Driver] = []
 
     def make(**options: object) -> Driver:
-        drivers.append(Driver(ServoBench(**options), tmp_path / "servos"))
-        return drivers[-1]
+        driver = Driver(ServoBench(**options), tmp_path / "servos")
+        undo.callback(driver.stop)
+        return driver
 
-    yield make
-    for driver in drivers:
-        driver.stop()
+    return make

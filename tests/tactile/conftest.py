@@ -1,6 +1,7 @@
 """The link and a simulated control unit on a bus in memory, and ways to spoil what it sends."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from contextlib import ExitStack
 
 import can
 import numpy as np
@@ -144,17 +145,14 @@ def assert_latches(
 
 
 @pytest.fixture
-def make_bench() -> Iterator[Callable[..., Bench]]:
-    benches = []
-
+def make_bench(undo: ExitStack) -> Callable[..., Bench]:
     def make(layout: TaxelLayout | None = None, **settings: object) -> Bench:
-        benches.append(Bench(layout or paper_layout(), **settings))  # type: ignore[arg-type]
-        return benches[-1]
+        bench = Bench(layout or paper_layout(), **settings)  # type: ignore[arg-type]
+        undo.callback(bench.bus.shutdown)
+        undo.callback(bench.link.stop)
+        return bench
 
-    yield make
-    for bench in benches:
-        bench.link.stop()
-        bench.bus.shutdown()
+    return make
 
 
 @pytest.fixture

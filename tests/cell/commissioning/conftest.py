@@ -1,6 +1,6 @@
 """Steps of the wizard on simulated cells, in virtual time."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -86,16 +86,15 @@ MakeStand = Callable[..., Stand]
 
 
 @pytest.fixture
-def make_stand(tmp_path: Path) -> Iterator[MakeStand]:
+def make_stand(tmp_path: Path, undo: ExitStack) -> MakeStand:
     """Return what makes a stand of a cell with some faults and settings; closed at the end."""
-    with ExitStack() as undo:
 
-        def make(*faults: str, **settings: Any) -> Stand:
-            named = {"layout": pinch_layout(), "aperture_m": 0.014} | settings
-            made = SimulatorSettings(**named, faults=faults)
-            return Stand(undo.enter_context(SimulatedCell(made)), tmp_path)
+    def make(*faults: str, **settings: Any) -> Stand:
+        named = {"layout": pinch_layout(), "aperture_m": 0.014} | settings
+        made = SimulatorSettings(**named, faults=faults)
+        return Stand(undo.enter_context(SimulatedCell(made)), tmp_path)
 
-        yield make
+    return make
 
 
 @pytest.fixture

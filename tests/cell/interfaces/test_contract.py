@@ -8,7 +8,7 @@ import os
 import socket
 import struct
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -57,16 +57,15 @@ Connect = Callable[..., tuple[Served, Host]]
 
 
 @pytest.fixture(params=HOSTS)
-def connect(request: pytest.FixtureRequest, serve: Any) -> Iterator[Connect]:
+def connect(request: pytest.FixtureRequest, serve: Any, undo: ExitStack) -> Connect:
     """Return the maker of a served cell and a host of each interface; with a cell another host."""
-    with ExitStack() as undo:
 
-        def make(served: Served | None = None) -> tuple[Served, Host]:
-            name = request.param
-            served = served or serve(name)
-            return served, undo.enter_context(closing(HOSTS[name](served.interfaces)))
+    def make(served: Served | None = None) -> tuple[Served, Host]:
+        name = request.param
+        served = served or serve(name)
+        return served, undo.enter_context(closing(HOSTS[name](served.interfaces)))
 
-        yield make
+    return make
 
 
 def check_values(host: Host, **expected: Any) -> None:
@@ -334,17 +333,16 @@ INTERFACES = {
 
 
 @pytest.fixture
-def link(serve: Any) -> Iterator[Callable[..., socket.socket]]:
+def link(serve: Any, undo: ExitStack) -> Callable[..., socket.socket]:
     """Return what connects to an interface from an address of this machine."""
     number = itertools.count()
-    with ExitStack() as undo:
 
-        def connect(port: int, host: str) -> socket.socket:
-            pause(next(number))
-            place = ("127.0.0.1", port)
-            return undo.enter_context(socket.create_connection(place, 20.0, (host, 0)))
+    def connect(port: int, host: str) -> socket.socket:
+        pause(next(number))
+        place = ("127.0.0.1", port)
+        return undo.enter_context(socket.create_connection(place, 20.0, (host, 0)))
 
-        yield connect
+    return connect
 
 
 def answered(link: socket.socket, request: bytes) -> bytes:

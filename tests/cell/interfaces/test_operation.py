@@ -4,7 +4,6 @@ import io
 import json
 import os
 import re
-import shlex
 import shutil
 import signal
 import socket
@@ -44,11 +43,12 @@ from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.errors import GripperError
 from recognition.recognizer import UNKNOWN
 from tactile.errors import HeartbeatLost
-from tests import ROOT
+from tests import ROOT, blocks, commands
 from tests.cell.conftest import REAL, MakeBench, once, small_config
 from tests.cell.interfaces.hosts import Client
 from tests.cell.served import Served
 from tests.faults.campaign import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
+from tests.hil.program import PROGRAM
 from tests.hil.supervisor import read_unit
 from tests.waiting import LIMIT_S, until
 
@@ -75,12 +75,7 @@ def files_in(folder: Path) -> set[str]:
 
 def test_what_the_page_types_prints_writes_and_packs(tmp_path, monkeypatch) -> None:
     page = PAGE.read_text("utf-8")
-    commands = [
-        shlex.split(line.partition("tactile-cell ")[2])
-        for block in re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
-        for line in block.splitlines()
-    ]
-    printing, applied, support = commands
+    printing, applied, support = commands("how-to/run-as-a-service.md")
     image = tmp_path / "image"
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cell.yaml").write_text("")
@@ -282,7 +277,7 @@ def test_containers_are_unprivileged_and_their_commands_are_ours() -> None:
 
 
 def test_the_snippets_of_the_page_are_read() -> None:
-    snippets = re.findall(r"```yaml\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    snippets = blocks("how-to/run-as-a-service.md", "yaml")
     assert parse_config(snippets[0], source="page").serve.token_file == "/etc/tactile-cell/token"
     assert YAML(typ="safe", pure=True).load(snippets[1])["scrape_configs"][0]["authorization"]
 
@@ -488,7 +483,6 @@ def test_without_a_service_the_bundle_says_so(tmp_path: Path, monkeypatch: Any) 
 # -- `tactile-cell serve`: its line, its notes, and its end with the part held ---------------------
 
 
-PROGRAM = (sys.executable, "-c", "from cell.interfaces.cli import main; main()")
 PORTS = ("--modbus", "0", "--xml-rpc", "0", "--http", "0")
 SMALL = """
 self_zero: {zero}

@@ -27,7 +27,7 @@ from cell.interfaces.opening import running
 from cell.interfaces.web import WebInterface
 from cell.runtime.goals import TASKS, checked_goal
 from tactile.errors import HeartbeatLost
-from tests import ROOT
+from tests import ROOT, blocks
 from tests.cell.conftest import COARSE_PADS, REAL
 from tests.cell.interfaces.hosts import Client
 from tests.cell.served import ended, serving
@@ -344,14 +344,14 @@ def test_the_example_of_the_page_runs(served, host, capsys) -> None:
 
 def page_examples(host: Client) -> list[str]:
     """Return the examples in Python of the page, with the address and token of this interface."""
-    page = PAGE.read_text("utf-8")
+    examples = blocks("how-to/use-it-over-http.md", "python")
     for there, here in (
         ("http://127.0.0.1:8080", f"http://127.0.0.1:{host.port}"),
         ("the token that serve prints", host.token),
     ):
-        assert there in page
-        page = page.replace(there, here)
-    return re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+        assert there in "".join(examples)
+        examples = [example.replace(there, here) for example in examples]
+    return examples
 
 
 def openapi_paths(host: Client) -> set[str]:

@@ -7,8 +7,9 @@ import http.client
 import re
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack, closing, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -135,15 +136,14 @@ class Robot:
 
 
 @pytest.fixture
-def connect(serve: Any) -> Iterator[Callable[..., tuple[Served, Any]]]:
-    """Return the maker of a served cell and a client."""
-    with ExitStack() as undo:
+def connect(serve: Any, undo: ExitStack) -> Callable[..., tuple[Served, Any]]:
+    """Return the maker of a served cell and a client: by default the library's own one."""
 
-        def make(**changes: Any) -> tuple[Served, Any]:
-            served = serve("xmlrpc", **changes)
-            return served, undo.enter_context(ServerProxy(address(served)))
+    def make(client: Callable[[str], Any] = ServerProxy, **changes: Any) -> tuple[Served, Any]:
+        served = serve("xmlrpc", **changes)
+        return served, undo.enter_context(client(address(served)))
 
-        yield make
+    return make
 
 
 def address(served: Served) -> str:
@@ -231,15 +231,9 @@ def test_the_next_pose_is_one_of_ur(connect) -> None:
 
 
 @pytest.fixture
-def robot(serve: Any) -> Iterator[Callable[..., tuple[Served, Robot]]]:
+def robot(connect: Any) -> Callable[..., tuple[Served, Robot]]:
     """Return the maker of a served cell and a robot with the program of the example."""
-    with ExitStack() as undo:
-
-        def make(**changes: Any) -> tuple[Served, Robot]:
-            served = serve("xmlrpc", **changes)
-            return served, undo.enter_context(closing(Robot(address(served))))
-
-        yield make
+    return partial(connect, lambda url: closing(Robot(url)))
 
 
 def places(robot: Robot) -> list[int]:

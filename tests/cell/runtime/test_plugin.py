@@ -2,7 +2,6 @@
 
 import gc
 import importlib.metadata
-import re
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -34,7 +33,7 @@ from gripper.errors import ServoFault, VerificationFailed
 from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN
 from tactile.errors import NodeMissing
-from tests import ROOT
+from tests import blocks
 from tests.cell.conftest import MakeBench, once, quick_config, small_config
 from tests.cell.served import LIMIT_S, done, grip_n, until
 
@@ -71,8 +70,8 @@ def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(plugin: Any) -> N
 
 @pytest.mark.slow
 def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -> None:
-    page = (ROOT / "docs/how-to/use-from-a-host-program.md").read_text("utf-8")
-    (typed,) = (one for one in re.findall(r"```python\n(.*?)```", page, re.S) if "my mug" in one)
+    examples = blocks("how-to/use-from-a-host-program.md", "python")
+    (typed,) = (one for one in examples if "my mug" in one)
     with pytest.raises(CellStateError, match="nothing is between the fingers"):
         plugin.start(TeachGoal(label="my mug"))
     exec(typed.replace('"grasps": 6', '"grasps": 3'), {"cell": plugin})

@@ -9,7 +9,7 @@ from cell.config.file import load_config
 from cell.simulation import simulation_of
 from gripper.dynamixel import control_table as table
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.models import MODELS, XM430_W350, require_current_control
+from gripper.dynamixel.models import MODELS, XM430_W350
 from gripper.errors import LimitExceeded, ServoRejected
 from gripper.servos.verification import requirements
 from gripper.values.servo_checks import hardware_error_names
@@ -63,13 +63,6 @@ def test_models_carry_the_data_sheet() -> None:
         # The torque of a slow rise is measured on the 330 size; the uncertainty covers both.
         spread = exp(2.0 * model.kt_sd) if model.supply_current else 1.07
         assert stall_nm < model.stall_torque_nm * 1.07 < 1.07 * spread * stall_nm
-
-
-def test_models_without_current_control_are_refused_with_the_reason() -> None:
-    with pytest.raises(LimitExceeded, match="no Goal Current"):
-        require_current_control("XL430-W250")
-    with pytest.raises(LimitExceeded, match="not known"):
-        require_current_control("AX-12")
 
 
 def test_hardware_error_bits_have_names() -> None:

@@ -4,7 +4,8 @@ import socket
 import struct
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from contextlib import ExitStack
 from importlib.util import find_spec
 from typing import Any
 
@@ -44,20 +45,18 @@ KEEP = 1
 
 
 @pytest.fixture
-def connect(serve: Any) -> Iterator[Callable[..., tuple[Served, Plc]]]:
+def connect(serve: Any, undo: ExitStack) -> Callable[..., tuple[Served, Plc]]:
     """Return the maker of a served cell and a PLC; with a cell another PLC of the same one."""
-    made: list[Plc] = []
 
     def make(
         served: Served | None = None, *, adopt: bool = False, **changes: Any
     ) -> tuple[Served, Plc]:
         served = served or serve("modbus", **changes)
-        made.append(Plc(served.interfaces["modbus_port"]))
-        return served, made[-1].adopt() if adopt else made[-1]
+        plc = Plc(served.interfaces["modbus_port"])
+        undo.callback(plc.link.close)
+        return served, plc.adopt() if adopt else plc
 
-    yield make
-    for plc in made:
-        plc.link.close()
+    return make
 
 
 def text_of(inputs: list[int]) -> str:

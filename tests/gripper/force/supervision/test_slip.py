@@ -4,12 +4,9 @@ import random
 
 import pytest
 
-from gripper.errors import PartSlipped
-from gripper.force.ramp import ForceRamp
 from gripper.force.supervision.slip import SlipWatch
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
-from gripper.values.state import GripperPhase
 
 SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1),))
 
@@ -67,18 +64,6 @@ def test_the_noisier_the_centre_the_farther_is_a_slide() -> None:
 
 def test_a_slow_slide_is_reported_at_the_largest_way_that_is_allowed() -> None:
     assert 0.0014 < slid_m(0.02, 0.0001, speed_m_s=0.001) < 0.0017
-
-
-@pytest.mark.slow
-def test_a_long_hold_at_a_level_of_the_ramp_is_watched_too(started) -> None:
-
-    def slip(cycle) -> None:
-        if cycle.level is not None:
-            started.part.width_m -= 1e-5
-
-    with pytest.raises(PartSlipped):
-        started.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=5.0), slip)
-    assert started.gripper.phase is GripperPhase.HELD_AFTER_FAULT
 
 
 def test_force_beyond_the_set_point_that_is_given_back_is_no_slip() -> None:
