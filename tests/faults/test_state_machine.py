@@ -6,7 +6,7 @@ import shutil
 import tempfile
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import closing, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -295,23 +295,22 @@ class Driver:
         self, name: str, call: Callable[[], Any], *, release: bool = False, reboot: bool = False
     ) -> bool:
         """Run a command to its end; return whether it did what it was asked for."""
-        self._begin(name)
+        asked = release or reboot
         done = True
-        try:
-            with self.monitor.bounded(COMMAND_BOUND_S):
-                if release or reboot:
-                    with self.monitor.release_asked(motion=release):
-                        call()
-                else:
+        with self.step(name):
+            try:
+                with (
+                    self.monitor.bounded(COMMAND_BOUND_S),
+                    self.monitor.release_asked(motion=release) if asked else nullcontext(),
+                ):
                     call()
-        except PRODUCT_ERRORS as error:
-            done = False
-            self.log[-1] += f" -> {type(error).__name__}: {str(error)[:100]}"
-        except (InvariantBroken, Overrun) as error:
-            self.monitor.broken.append(str(error))
-        except Exception as error:
-            self.monitor.broken.append(f"{name} ended with {type(error).__name__}: {error}")
-        self._end()
+            except PRODUCT_ERRORS as error:
+                done = False
+                self.log[-1] += f" -> {type(error).__name__}: {str(error)[:100]}"
+            except (InvariantBroken, Overrun) as error:
+                self.monitor.broken.append(str(error))
+            except Exception as error:
+                self.monitor.broken.append(f"{name} ended with {type(error).__name__}: {error}")
         return done
 
     def do(self, name: str) -> bool:
@@ -343,15 +342,14 @@ class Driver:
         """Let another thread ask for a stop in so many s."""
         due_s = self.simulated.clock.monotonic() + after_s
         controller = self.controller
-        self._begin(f"cancel in {after_s} s")
 
         def look(now_s: float) -> None:
             if now_s >= due_s:
                 self.simulated.clock.on_advance.remove(look)
                 controller.life.cancel()
 
-        self.simulated.clock.on_advance.append(look)
-        self._end()
+        with self.step(f"cancel in {after_s} s"):
+            self.simulated.clock.on_advance.append(look)
 
     def carry(self, force_n: float, text: str, seconds: float) -> None:
         """Grip, bring a fault about while the part is carried, and look at it."""
@@ -377,27 +375,25 @@ class Driver:
         self.command(f"wait {seconds} s", idle)
 
     def restart(self) -> None:
-        self._begin("restart the host")
-        self._finish_host()
-        self.cell = self._new_host()
-        self._end()
+        with self.step("restart the host"):
+            self._finish_host()
+            self.cell = self._new_host()
 
     def kill(self, dead_s: float) -> None:
         """Kill the host program; after a time another one comes."""
-        self._begin(f"kill the host for {dead_s} s")
-        recording = self.cell.recording_path
-        if recording is not None:
-            copy = self._folder / "killed.mcap"
-            shutil.copyfile(recording, copy)
-            self.monitor.broken += recording_faults(copy, whole=False)
-        self.monitor.attach(None)
-        for open_anew in (self.simulated.open_servo_port, self.simulated.open_can_bus):
-            with suppress(SimulatorError):  # an adapter that is out is so for both hosts
-                open_anew()  # what the old one has fails from now on
-        self.cell.close()
-        self.simulated.clock.sleep(dead_s)
-        self.cell = self._new_host()
-        self._end()
+        with self.step(f"kill the host for {dead_s} s"):
+            recording = self.cell.recording_path
+            if recording is not None:
+                copy = self._folder / "killed.mcap"
+                shutil.copyfile(recording, copy)
+                self.monitor.broken += recording_faults(copy, whole=False)
+            self.monitor.attach(None)
+            for open_anew in (self.simulated.open_servo_port, self.simulated.open_can_bus):
+                with suppress(SimulatorError):  # an adapter that is out is so for both hosts
+                    open_anew()  # what the old one has fails from now on
+            self.cell.close()
+            self.simulated.clock.sleep(dead_s)
+            self.cell = self._new_host()
 
     def _new_host(self) -> Cell:
         self._hosts += 1
@@ -421,37 +417,26 @@ class Driver:
 
     def inject(self, text: str) -> None:
         """Inject a fault; one that is refused changes nothing."""
-        self._begin(f"inject {text}")
-        try:
-            fault = self.simulated.inject(text)
-        except SimulatorError as error:
-            self.log[-1] += f" -> {error}"
-        else:
-            self._untrusted = self._untrusted or fault.entry.name in _UNTRUSTED
-            self._remounted = self._remounted or fault.entry.name in _REMOUNTED
-        self._end()
+        with self.step(f"inject {text}", refusal=SimulatorError):
+            name = self.simulated.inject(text).entry.name
+            self._untrusted = self._untrusted or name in _UNTRUSTED
+            self._remounted = self._remounted or name in _REMOUNTED
 
     def heal(self) -> None:
         """End all faults, and plug everything in."""
-        self._begin("heal")
-        if self._remounted:
-            self.monitor.pushed()
-        self._remounted = False
-        self.simulated.injector.clear_all()
-        for motor in self.simulated.devices.mechanics.motors:
-            motor.encoder_offset_rad, motor.temperature_c = 0.0, 25.0
-        self._end()
+        with self.step("heal"):
+            if self._remounted:
+                self.monitor.pushed()
+            self._remounted = False
+            self.simulated.injector.clear_all()
+            for motor in self.simulated.devices.mechanics.motors:
+                motor.encoder_offset_rad, motor.temperature_c = 0.0, 25.0
 
     def place(self, label: str) -> None:
         """Bring another object, where the fingers let it."""
-        self._begin(f"place {label}")
-        try:
+        with self.step(f"place {label}", refusal=SimulatorError):
             self.simulated.place(label)
-        except SimulatorError as error:
-            self.log[-1] += f" -> {error}"
-        else:
             self.controller.moves.present(label)
-        self._end()
 
     def recover(self) -> None:
         """Do what a person does after a fault, until the cell is started again."""
@@ -490,12 +475,16 @@ class Driver:
             steps = "\n  ".join(self.log)
             raise InvariantBroken(f"{'; '.join(self.monitor.broken[:3])}\nafter\n  {steps}")
 
-    def _begin(self, name: str) -> None:
+    @contextmanager
+    def step(self, name: str, refusal: type[Exception] | tuple[()] = ()) -> Iterator[None]:
+        """Write a step down, and that it was refused; at its end nothing may be broken."""
         now_s = self.simulated.clock.monotonic()
         self.log.append(f"{now_s:8.3f} s {self.controller.life.state.value:<10} {name}")
         self.steps += 1
-
-    def _end(self) -> None:
+        try:
+            yield
+        except refusal as error:
+            self.log[-1] += f" -> {error}"
         self.monitor.limp_allowed = self._untrusted
         self.check()
 
@@ -536,16 +525,13 @@ def test_the_machine_draws_faults_that_there_are(text: str) -> None:
 
 def drive(*, fault: str = CAN_OFF) -> None:
     """Fail in a grasp, clear it, and go on."""
-    cell = Driver(self_test=False)
-    try:
+    with closing(Driver(self_test=False)) as cell:
         cell.do("start")
         cell.inject(fault)
         cell.grasp(0.0, 3.0, 0.0)
         cell.wait(0.1)
         cell.recover()
         cell.identify(3.0)
-    finally:
-        cell.close()
 
 
 @pytest.mark.slow
@@ -602,19 +588,15 @@ def test_a_part_that_the_cell_lets_go_by_itself_is_found(monkeypatch: pytest.Mon
 @pytest.mark.slow
 def test_fingers_that_a_cancel_does_not_stop_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def letting_go() -> None:
-        cell = Driver(self_test=False)
-        cell.do("start")
-
         def fast() -> bool:
             wide = cell.simulated.devices.mechanics.aperture_m > 0.008
             return cell.controller.hand.phase is GripperPhase.RELEASING and wide
 
-        once(cell.simulated.clock, fast, cell.controller.life.cancel)
-        try:
+        with closing(Driver(self_test=False)) as cell:
+            cell.do("start")
+            once(cell.simulated.clock, fast, cell.controller.life.cancel)
             cell.grasp(0.0, 3.0, 0.0)
             cell.wait(0.2)
-        finally:
-            cell.close()
 
     letting_go()
     monkeypatch.setattr(Servos, "stop_motion", lambda _servos: [])
