@@ -11,6 +11,7 @@ import tomllib
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -90,20 +91,14 @@ def test_the_page_on_recordings_can_be_typed(here) -> None:
     listed, marked, unmarked = typed("how-to/keep-recordings.md")
     assert str(recording) in listed
     assert (marked, unmarked) == (f"{recording}: marked\n", f"{recording}: not marked\n")
-    history = History(Path("out/history-press-4.sqlite3"), lambda: STATE)
+    well = SimpleNamespace(n_faults=0, fault=None)
+    history = History(Path("out/history-press-4.sqlite3"), lambda: well)
     history.update()
     history._close_link()
     names: dict[str, Any] = {}
     (example,) = blocks("how-to/keep-recordings.md", "python")
     exec(example, names)
     assert [row["kind"] for row in names["rows"]] == ["start"]
-
-
-class STATE:
-    """A cell without a fault."""
-
-    n_faults = 0
-    fault = None
 
 
 @pytest.mark.slow

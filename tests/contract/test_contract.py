@@ -12,6 +12,7 @@ from gripper.dynamixel.control_table import (
     CURRENT_LIMIT,
     FIRMWARE_VERSION,
     GOAL_CURRENT,
+    HARDWARE_ERROR_STATUS,
     LED,
     MODEL_NUMBER,
     MOVING_THRESHOLD,
@@ -137,28 +138,17 @@ def test_an_unknown_instruction_is_refused(servos: Any) -> None:
     assert error_of(servos.exchange(UNKNOWN_INSTRUCTION, b"")) == RESULT_INSTRUCTION
 
 
-def test_values_out_of_range_are_refused_and_change_nothing(servos: Any) -> None:
-    with servos.restoring(LED):
-        servos.bus.write(servos.one, LED, 0)
-        assert refusal(servos, LED, 2) == RESULT_RANGE
-        assert servos.bus.read(servos.one, LED) == 0
-
-
-def test_goals_beyond_a_limit_of_the_servo_are_refused(servos: Any) -> None:
+def test_what_is_refused_changes_nothing(servos: Any) -> None:
     limit = servos.bus.read(servos.one, CURRENT_LIMIT)
-    before = servos.bus.read(servos.one, GOAL_CURRENT)
-    assert refusal(servos, GOAL_CURRENT, limit + 1) == RESULT_LIMIT
-    assert servos.bus.read(servos.one, GOAL_CURRENT) == before
-
-
-def test_read_only_items_are_refused(servos: Any) -> None:
-    assert refusal(servos, replace(PRESENT_POSITION, writable=True), 0) == RESULT_ACCESS
-
-
-def test_a_value_shorter_than_its_item_is_refused(servos: Any) -> None:
-    before = servos.bus.read(servos.one, PROFILE_VELOCITY)
-    assert refusal(servos, replace(PROFILE_VELOCITY, size=1), 1) == RESULT_LENGTH
-    assert servos.bus.read(servos.one, PROFILE_VELOCITY) == before
+    for item, change, raw, result in (
+        (LED, {}, 2, RESULT_RANGE),
+        (GOAL_CURRENT, {}, limit + 1, RESULT_LIMIT),
+        (HARDWARE_ERROR_STATUS, {"writable": True}, 0, RESULT_ACCESS),
+        (PROFILE_VELOCITY, {"size": 1}, 1, RESULT_LENGTH),
+    ):
+        before = servos.bus.read(servos.one, item)
+        assert refusal(servos, replace(item, **change), raw) == result, item.name
+        assert servos.bus.read(servos.one, item) == before
 
 
 def test_the_watchdog_of_a_servo_without_torque_does_not_trip(servos: Any) -> None:

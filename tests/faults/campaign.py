@@ -530,11 +530,7 @@ def loop_held_up(row: FaultRow, *, stall_s: float, times: int = 1) -> Observed:
     """Hold up the force loop of a grasp for so long, in so many periods in a row."""
     with campaign_cell(row.changes) as cell:
         held_up = _HeldUp(cell, stall_s, times)
-
-        def add(collector: GraspCollector, cycle: Any, frames: Any) -> None:
-            held_up.add(collector, cycle, frames)
-
-        with mock.patch.object(GraspCollector, "add", add):
+        with mock.patch.object(GraspCollector, "add", autospec=True, side_effect=held_up.add):
             seen = observe(cell)
         assert held_up.began_s is not None
         assert held_up.ended_s is not None

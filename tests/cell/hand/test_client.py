@@ -436,15 +436,6 @@ def frame() -> TactileFrame:
     return TactileFrame(t_s=1.0, counter=3, status=0, counts=np.arange(408, dtype=np.uint16))
 
 
-ANSWER = HandReply(
-    number=3,
-    value=VerificationReport(rows=()),
-    error=None,
-    phase=GripperPhase.HOLDING,
-    statistics=STATISTICS,
-)
-
-
 def test_a_command_is_a_method_of_the_hand_and_no_other_one() -> None:
     for name in ("close", "tick", "request_stop", "end_ramp", "check_ramp", "_grip"):
         with pytest.raises(ValueError, match=f"'{name}' is not a command of the hand"):
@@ -699,7 +690,7 @@ def test_sigterm_leaves_the_program_time_to_end_the_cell_in_order(line, monkeypa
 def test_a_message_that_finds_nobody_is_given_up_at_once(line) -> None:
     line.near.close()
     line.socket.close()
-    line.outbox.post(ANSWER)
+    line.outbox.post(answer(3, value=VerificationReport(rows=())))
     begin_s = time.monotonic()
     line.outbox.drain(5.0)
     assert line.outbox.broken

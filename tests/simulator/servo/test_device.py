@@ -490,20 +490,16 @@ def test_a_trip_holds_the_present_position(pressing):
     assert pressing.motors[0].angle_rad == pytest.approx(held, abs=0.03)
 
 
-def test_a_trip_can_leave_the_motor_without_current(closing):
-    pressing = closing(WatchdogStop.ZERO_CURRENT)
+@pytest.mark.parametrize(
+    ("stop", "current"), [(WatchdogStop.ZERO_CURRENT, 0), (WatchdogStop.KEEPS_TURNING, -100)]
+)
+def test_a_trip_can_leave_the_motor_without_current_or_turning(closing, stop, current):
+    pressing = closing(stop)
     trip(pressing)
     pressing.clock.sleep(0.05)
-    assert pressing.read(1, 126, 2, signed=True) == 0
+    assert pressing.read(1, 126, 2, signed=True) == current
     assert pressing.read(1, 64, 1) == 1
-
-
-def test_the_330_fault_keeps_turning(closing):
-    pressing = closing(WatchdogStop.KEEPS_TURNING)
-    trip(pressing)
-    pressing.clock.sleep(0.05)
-    assert pressing.read(1, 126, 2, signed=True) == -100
-    assert pressing.write(1, 102, 2, 0) == 4
+    assert pressing.write(1, 102, 2, 0) == RANGE
 
 
 def test_a_cleared_motor_waits_for_a_goal(pressing):
