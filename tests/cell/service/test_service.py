@@ -541,7 +541,7 @@ DAY_S = 86_400.0
 class Stored:
     """A history whose clock and faults the test sets; each look is a call."""
 
-    def __init__(self, path: Path | None) -> None:
+    def __init__(self, path: Path) -> None:
         self.path, self.now_s, self.notes = path, MONDAY_S, list[str]()
         self.state = SimpleNamespace(n_faults=0, fault=None, fault_number=0)
         self.begin()
@@ -599,7 +599,6 @@ def test_a_week_of_shifts_survives_kills_and_is_summed_by_day_and_week(stored: S
     assert values["today"]["confused"] == [
         {"held": "ball", "named": "box", "n": 12, "confirmed": True}
     ]
-    assert stored.path is not None
     rows = read_day(stored.path, date(2027, 3, 7))
     assert [row["fault_number"] for row in rows if row["kind"] == "fault"] == [301, 302, 303]
     assert rows[-1]["text"] == "a servo is hot"
@@ -693,7 +692,6 @@ def test_a_clock_that_leaps_loses_no_day(stored: Stored) -> None:
         stored.now_s += leap_s
         stored.add(part())
         assert stored.look()["today"]["parts"] == 1
-    assert stored.path is not None
     assert len(read_day(stored.path, date(2027, 3, 1))) == 2
 
 
@@ -705,7 +703,6 @@ def test_the_first_days_go_when_there_are_many(
         stored.now_s = MONDAY_S + day * DAY_S
         stored.add(part())
         stored.look()
-    assert stored.path is not None
     left = [bool(read_day(stored.path, date(2027, 3, 1 + day))) for day in range(5)]
     assert left == [False, False, True, True, True]
 
@@ -719,7 +716,6 @@ def test_a_disk_that_takes_nothing_is_noted_once_and_gets_the_rows_later(stored,
     assert "the history is not kept" in stored.notes[0]
     (tmp_path / "out").unlink()
     assert stored.look()["today"]["parts"] == 3
-    assert stored.path is not None
     with closing(sqlite3.connect(stored.path)) as other:  # a program that holds it for a while
         other.execute("BEGIN EXCLUSIVE")
         stored.add(part())
