@@ -4,23 +4,26 @@ import random
 
 import pytest
 
-from gripper.force.supervision.slip import SlipWatch
+from gripper.errors import PartSlipped
+from gripper.force.loop import Moment
+from gripper.force.supervision.slip import LevelSlip, SlipWatch
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
+from tests.values import make_state
 
 SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1),))
 
 
 def test_a_sudden_drop_is_a_slip_within_a_tenth_of_a_second() -> None:
-    watch = SlipWatch(SETTINGS)
-    reported_s = None
-    for i in range(400):
-        t_s = 0.005 * i
-        force_n = 4.0 if t_s < 1.0 else 3.0
-        sample = ForceSample(t_s=0.02 * (i // 4), force_n=(force_n, force_n))
-        if reported_s is None and watch.check(t_s, 0.01, sample, setpoint_n=4.0) is not None:
-            reported_s = t_s
-    assert 1.0 < reported_s < 1.1
+    watch = LevelSlip(SETTINGS)
+    with pytest.raises(PartSlipped, match="the held part slips: .*nothing grips again by itself"):
+        for i in range(400):
+            t_s = 0.005 * i
+            force_n = 4.0 if t_s < 1.0 else 3.0
+            sample = ForceSample(t_s=0.02 * (i // 4), force_n=(force_n, force_n))
+            moment = Moment(now_s=t_s, dt_s=0.005, state=make_state(t_s), sample=sample)
+            watch.check(moment, 0, setpoint_n=4.0)
+    assert 1.0 < t_s < 1.1
 
 
 def test_fingers_that_close_after_the_part_show_a_slip() -> None:
