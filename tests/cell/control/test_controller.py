@@ -132,6 +132,7 @@ def test_a_part_that_sinks_into_the_foam_is_held_with_what_it_bears(
         bench.grasp(8.0)
     bench.cell.close()
     events = read_recording(tmp_path / "recording.mcap").events
+    assert ("verify", "the same part") in {(event["kind"], event["text"]) for event in events}
     told = [event["text"] for event in events if event["kind"] == "ramp"]
     assert [re.search(r"too soft for 8\.0 N.*min_mm is (\S+)\)", t)[1] for t in told] == (
         [] if reached else [f"{closed_mm:g}"]

@@ -16,7 +16,6 @@ from cell.control.positioner import Destination, HostPlaces, OperatorPositioner
 from cell.control.states import CellState, GraspState
 from cell.errors import CellStopped, ConfigError, PositionerError, RecordingError
 from cell.hand.local import LocalHand
-from cell.recording.reader import read_recording
 from gripper.errors import PartLost, PartSlipped
 from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN
@@ -227,20 +226,6 @@ def test_a_part_that_leaves_the_grip_is_a_fault_with_its_time(bench, fault, limi
 
 
 # -- the same part? --------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_a_look_at_a_kept_part_finds_it_unchanged(make_bench: MakeBench, tmp_path: Any) -> None:
-    bench = make_bench(folder=tmp_path).ready()
-    bench.controller.grip(6.0, Pose())
-    bench.idle(1.0)
-    check = bench.controller.kept_part.verify()
-    assert (check.held, check.same, check.reasons) == (True, True, ())
-    assert check.force_n == pytest.approx(CARRY_N, abs=TOLERANCE_N)
-    assert bench.life.state is CellState.COMPLETE
-    bench.cell.close()
-    events = read_recording(tmp_path / "recording.mcap").events
-    assert ("verify", "the same part") in {(e["kind"], e["text"]) for e in events}
 
 
 def test_noise_of_the_taxels_makes_no_part_another_one() -> None:
