@@ -418,28 +418,31 @@ class TactileSensor:
         all_n: Values,
     ) -> None:
         pad = self.layout.pads[self.layout.gripping_pads[0]]
-        pitches_m = np.array([pad.pitch_x_m, pad.pitch_y_m])
         # Noise of each touched taxel of a gripping pad in this frame: a count is more force on a
         # loaded taxel than on an empty one.
-        slope = self.calibration.force_n(counts + 1.0) - all_n
+        slope = (self.calibration.force_n(counts + 1.0) - all_n) * active / self._per_count_n
         noise_n = np.zeros(len(counts))
         for taxels, taxel_n in zip(self._grips, self._taxel_noise_n, strict=True):
-            noise_n[taxels] = taxel_n * (slope * active / self._per_count_n)[taxels]
+            noise_n[taxels] = taxel_n * slope[taxels]
         least_n2 = (_LEAST_TOUCHED * taxel_n**2 for taxel_n in self._taxel_noise_n)
         centre_m = self._centres.of(scan_n)
-        centre, centre_noise = None, np.zeros(2)
+        centre, centre_noise = None, (0.0, 0.0)
         if centre_m is not None:
-            centre = centre_m / pitches_m
-            centre_noise = self._centres.noise_m(scan_n, noise_n) / pitches_m
+            centre = centre_m[0] / pad.pitch_x_m, centre_m[1] / pad.pitch_y_m
+            x_m, y_m = self._centres.noise_m(scan_n, noise_n).tolist()
+            centre_noise = x_m / pad.pitch_x_m, y_m / pad.pitch_y_m
         # A finger without a taxel above the source's threshold may show nothing in the messages.
         mean = self._hood.weighted(counts) / _BINOMIAL
-        light = [float(mean[one].max()) <= self._touch_counts for one in self._grips]
         force_n = self._on_fingers(scan_n)
+        hidden_n = [
+            one_n if float(mean[taxels].max()) <= self._touch_counts else 0.0
+            for taxels, one_n in zip(self._grips, force_n, strict=True)
+        ]
         self._force_check.compare(
             frame.scanned_s,
             force_n,
             sqrt(_EDGE * max(*least_n2, *self._on_fingers(noise_n**2))),
-            hidden_n=np.where(light, force_n, 0.0),
+            hidden_n=hidden_n,
             centre_taxels=centre,
             centre_noise_taxels=centre_noise,
             whole_n=self._on_fingers(all_n),
