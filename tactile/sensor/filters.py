@@ -52,10 +52,13 @@ class Neighbourhood:
 
     def weighted(self, values: Values) -> Values:
         """Return the sum of the neighbours' values (..., n_taxels) by weights of 1, 2 and 4."""
-        sums = image = self._image(values)
-        sums[..., 1:-1, :] = image[..., :-2, :] + 2.0 * image[..., 1:-1, :] + image[..., 2:, :]
-        sums[..., 1:-1] = sums[..., :-2] + 2.0 * sums[..., 1:-1] + sums[..., 2:]
-        return self._taxels(sums)
+        sums = self._image(values).reshape(*values.shape[:-1], -1)
+        # One row after the other; the rim keeps them apart.
+        for step in (self._shape[1], 1):
+            middle = sums[..., step:-step]
+            middle[...] = sums[..., : -2 * step] + 2.0 * middle + sums[..., 2 * step :]
+        taxels: Values = sums[..., self._place]
+        return taxels
 
     def mean(self, values: Values) -> Values:
         """Return the binomial mean over 3 x 3 taxels (a Gaussian of 0.7 taxels).

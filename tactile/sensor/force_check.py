@@ -72,8 +72,8 @@ class ForceCentres:
     """Centre of the grip force: the mean of both pads' centres, each weighted by its taxels."""
 
     def __init__(self, layout: TaxelLayout) -> None:
-        self._taxels = tuple(np.flatnonzero(layout.taxel_pad == p) for p in layout.gripping_pads)
-        self._xy_m = tuple(layout.position_m[taxels, :2] for taxels in self._taxels)
+        self._taxels = tuple(layout.taxels_of(pad) for pad in layout.gripping_pads)
+        self._xy_m = tuple(layout.position_m[taxels, :2].copy() for taxels in self._taxels)
 
     def of(self, force_n: Array) -> tuple[float, float] | None:
         """Return the centre in the grip frame in m; None if a pad has no force.
