@@ -166,23 +166,24 @@ class SimulatedServo(ServoCore):
     def _check(self, item: Item, raw: int) -> StatusError:
         if item.eeprom and self.torque_on:
             return StatusError.ACCESS
-        if item.address in _GOALS and self.watchdog_tripped:
-            return StatusError.DATA_RANGE
         if item.address == ct.TORQUE_ENABLE.address and raw and self.latched:
             return StatusError.RESULT_FAIL
-        registers, data = self.registers, self.registers.data
-        allowed, refusal = item.values, StatusError.DATA_RANGE
-        limit = _LIMITED_BY.get(item.address)
+        if item.address not in _GOALS:
+            return StatusError.NONE if raw in item.values else StatusError.DATA_RANGE
+        if self.watchdog_tripped:
+            return StatusError.DATA_RANGE
+        registers, limit = self.registers, _LIMITED_BY.get(item.address)
         if limit is not None:
-            most = registers.get(limit)
-            allowed, refusal = range(-most, most + 1), StatusError.DATA_LIMIT
-        elif item.address == ct.GOAL_POSITION.address:
-            allowed = _EXTENDED_POSITION
-            if registers.keeps_limits or data[ct.OPERATING_MODE.address] == OperatingMode.POSITION:
-                first = registers.get("min_position_limit")
-                allowed = range(first, registers.get("max_position_limit") + 1)
-                refusal = StatusError.DATA_LIMIT
-        return StatusError.NONE if raw in allowed else refusal
+            within = abs(raw) <= registers.get(limit)
+        elif (
+            registers.keeps_limits
+            or registers.data[ct.OPERATING_MODE.address] == OperatingMode.POSITION
+        ):
+            first, last = (registers.get(f"{end}_position_limit") for end in ("min", "max"))
+            within = first <= raw <= last
+        else:
+            return StatusError.NONE if raw in _EXTENDED_POSITION else StatusError.DATA_RANGE
+        return StatusError.NONE if within else StatusError.DATA_LIMIT
 
     def _side_effect(self, address: int, raw: int, now_s: float) -> None:
         if address == ct.OPERATING_MODE.address:
