@@ -110,7 +110,7 @@ class Period:
 
     def yielding_n(self, force_n: float) -> float:
         """Return the drive in N at which a force in N begins to fall, the mean of the servos."""
-        return fmean(path.yielding_n(force_n) for path in self.paths)
+        return fmean([path.yielding_n(force_n) for path in self.paths])
 
 
 class ForcePlan:
@@ -310,9 +310,9 @@ class ForceLaw:
         While they open, the gearing also holds a part of the load.
         """
         fingers, force_n = 2 / len(period.paths), self.observer.force_n
+        speed_m_s = fingers * self.observer.speed_m_s
         friction_n = fmean(
-            path.drive.moving_a(fingers * self.observer.speed_m_s / path.radius_m) * path.n_per_a
-            for path in period.paths
+            [path.drive.moving_a(speed_m_s / path.radius_m) * path.n_per_a for path in period.paths]
         )
         held_n = force_n - period.friction_n - period.yielding_n(force_n)
         return friction_n, max(friction_n + held_n, _LEAST_OPENING_SHARE * friction_n)
