@@ -135,9 +135,8 @@ class Feedback:
     ) -> ServoState:
         model, position_raw = servo.servo_model, raw[PRESENT_POSITION.name]
         # Under torque a servo cannot lose or gain a turn: a change is an error and must be found.
-        if servo.servo_id not in self._turns:
-            self._turns[servo.servo_id] = servo.turns(position_raw)
-        angle_rad = servo.angle_rad(position_raw, self._turns[servo.servo_id])
+        turns = self._turns.setdefault(servo.servo_id, servo.turns(position_raw))
+        angle_rad = servo.angle_rad(position_raw, turns)
         tick_ms = raw[REALTIME_TICK.name]
         motion = self._motions[servo.servo_id]
         speed_rad_s = motion.speed_rad_s(tick_ms, angle_rad)

@@ -140,8 +140,7 @@ class SimulatedServo(ServoCore):
             return plan
         values = list(zip(plan.items, plan.layout.unpack(data), strict=True))
         for item, raw in values:
-            refused = self._check(item, raw)
-            if refused is not StatusError.NONE:
+            if refused := self._check(item, raw):
                 return refused
         goals = profile = False
         table, at = self.registers.data, 0
@@ -173,12 +172,10 @@ class SimulatedServo(ServoCore):
         if self.watchdog_tripped:
             return StatusError.DATA_RANGE
         registers, limit = self.registers, _LIMITED_BY.get(item.address)
+        mode = registers.data[ct.OPERATING_MODE.address]
         if limit is not None:
             within = abs(raw) <= registers.get(limit)
-        elif (
-            registers.keeps_limits
-            or registers.data[ct.OPERATING_MODE.address] == OperatingMode.POSITION
-        ):
+        elif registers.keeps_limits or mode == OperatingMode.POSITION:
             first, last = (registers.get(f"{end}_position_limit") for end in ("min", "max"))
             within = first <= raw <= last
         else:

@@ -46,12 +46,8 @@ class Foam:
         strain = np.maximum(indentation_m, 0.0)
         strain /= self.thickness_m
         bent = np.minimum(strain, _LIMIT_STRAIN)
-        stress = 1.0 - bent
-        np.divide(bent, stress, out=stress)
-        stress *= stress
-        stress *= self.densification
-        stress += 1.0
-        stress *= bent
+        closing = bent / (1.0 - bent)
+        stress = bent * (1.0 + self.densification * closing**2)
         if strain.max(initial=0.0) <= _LIMIT_STRAIN:
             stress *= self.modulus_pa
             return stress

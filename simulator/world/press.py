@@ -152,13 +152,10 @@ class Press:
                     f"beside the pad {grid.pad.name}; choose a smaller offset"
                 )
             window = (_span(covered, axis=0), _span(covered, axis=1))
-            # The sides of most objects are alike.
-            alike = side == 1 and seen is grids[0] and np.array_equal(*heights_m)
-            table = (
-                tables[0]
-                if alike and foams[0] == foams[1]
-                else ForceTable(foams[side], reach_m[window], grid.cell_area_m2)
-            )
+            # The sides of most objects are alike, and have one table.
+            alike = foams[0] == foams[1] and np.array_equal(*heights_m)
+            if not (tables and seen is grids[0] and alike):
+                table = ForceTable(foams[side], reach_m[window], grid.cell_area_m2)
             tables.append(table)
             shares.append(grid.shares(window))
             lags_m.append(table.reach_max_m - reach_m[window])

@@ -96,8 +96,6 @@ class Mounting:
 
     def force(self, message: ForceMessage) -> ForceMessage:
         """Return a force message of the unit with the forces of the layout's fingers."""
-        if not self._exchanged and self._signs == (1, 1):
-            return message
         first_n, second_n = message.force_n
         centre = message.centre_taxels
         along, across = self._signs

@@ -11,7 +11,6 @@ from collections import deque
 from collections.abc import Sequence
 from itertools import zip_longest
 from math import inf, isinf
-from statistics import fmean
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,17 +176,16 @@ class ForceCheck:
         apart_n = [frame_n[n] - message_n[n] for n in both]
         beyond = [(apart_n[n] - above_n[n]) / noise_n for n in both]
         beyond += [(-apart_n[n] - below_n[n]) / noise_n for n in both]
-        grip_n, least_n = fmean(message_n), _CENTRE_LEAST_SIGMAS * taxel_noise_n
+        grip_n = 0.5 * sum(message_n)
+        least_n = max(_CENTRE_LEAST_N, _CENTRE_LEAST_SIGMAS * taxel_noise_n)
         apart_taxels, allowed_taxels = [0.0, 0.0], _CENTRE_TAXELS
-        if centre_taxels is not None and min(fmean(force_n), grip_n) >= max(
-            _CENTRE_LEAST_N, least_n
-        ):
+        if centre_taxels is not None and min(0.5 * sum(force_n), grip_n) >= least_n:
             # Messages without a centre, and a frame with one: the largest possible error.
             shown_taxels = mean_centre_taxels(messages) or (inf, inf)
             apart_taxels = [shown_taxels[n] - centre_taxels[n] for n in both]
-            by_force = _CENTRE_N_TAXELS / max(fmean(frame_n), _CENTRE_LEAST_N)
+            by_force = _CENTRE_N_TAXELS / max(0.5 * sum(frame_n), _CENTRE_LEAST_N)
             noise = [max(by_force, _CENTRE_BOTH * centre_noise_taxels[n]) for n in both]
-            hidden = fmean([whole_n[n] - force_n[n] for n in both])
+            hidden = 0.5 * sum([whole_n[n] - force_n[n] for n in both])
             allowed_taxels += _SPREAD_TAXELS * max(0.0, hidden / max(grip_n, _CENTRE_LEAST_N))
             beyond += [(apart_taxels[n] - allowed_taxels) / noise[n] for n in both]
             beyond += [(-apart_taxels[n] - allowed_taxels) / noise[n] for n in both]

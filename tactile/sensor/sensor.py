@@ -433,16 +433,13 @@ class TactileSensor:
             centre_noise = x_m / pad.pitch_x_m, y_m / pad.pitch_y_m
         # A finger without a taxel above the source's threshold may show nothing in the messages.
         mean = self._hood.weighted(counts) / _BINOMIAL
+        light = [float(mean[one].max()) <= self._touch_counts for one in self._grips]
         force_n = self._on_fingers(scan_n)
-        hidden_n = [
-            one_n if float(mean[taxels].max()) <= self._touch_counts else 0.0
-            for taxels, one_n in zip(self._grips, force_n, strict=True)
-        ]
         self._force_check.compare(
             frame.scanned_s,
             force_n,
             sqrt(_EDGE * max(*least_n2, *self._on_fingers(noise_n**2))),
-            hidden_n=hidden_n,
+            hidden_n=[light[n] * force_n[n] for n in (0, 1)],
             centre_taxels=centre,
             centre_noise_taxels=centre_noise,
             whole_n=self._on_fingers(all_n),
