@@ -3,8 +3,8 @@
 Both come from the same taxels. For the messages the unit sums fast scans by the host's table and
 zero; for the frames the host uses its own calibration. A table of another pad, a lost zero or an
 error of the unit causes a lasting difference. Each frame is compared with the messages around its
-scan, so a changing force causes no difference. Cumulative sums (CUSUM, Page 1954) of what is beyond
-the limits find large differences within two frames, small ones later.
+scan; a change from the earlier to the later of them may differ too. Cumulative sums (CUSUM,
+Page 1954) of what is beyond the limits find large differences within two frames, small ones later.
 """
 
 from collections import deque
@@ -159,16 +159,24 @@ class ForceCheck:
             Force on all taxels of each finger in N. With a load spread over a pad each taxel may be
             below the threshold.
         """
-        while self._messages and self._messages[0].t_s < scanned_s - _BEFORE_S:
+        began_s = scanned_s - _BEFORE_S
+        while len(self._messages) > 1 and self._messages[1].t_s < began_s:
             self._messages.popleft()
-        messages = [one for one in self._messages if one.t_s <= scanned_s + _AFTER_S]
+        # The one before shows a change of the force where messages are rare.
+        near = [one for one in self._messages if one.t_s <= scanned_s + _AFTER_S]
+        messages = [one for one in near if one.t_s >= began_s]
         if not messages:
             return
         taxel_noise_n, both = self._taxel_noise_n, (0, 1)
         # With two values each, lists take a sixth of the time of arrays.
-        message_n = [sum([one.force_n[n] for one in messages]) / len(messages) for n in both]
+        message_n, half = _means_n(messages), max(1, len(near) // 2)
+        # Where the force changes fast, so much may be between a scan and the messages around it.
+        first_n, last_n = _means_n(near[:half]), _means_n(near[-half:])
         frame_n = [max(force_n[n], min(whole_n[n], message_n[n])) for n in both]
-        above_n = [_LEAST_N + _LEAST_SHARE * max(frame_n[n], message_n[n]) for n in both]
+        above_n = [
+            _LEAST_N + _LEAST_SHARE * max(frame_n[n], message_n[n]) + abs(last_n[n] - first_n[n])
+            for n in both
+        ]
         below_n = [limit_n + _BELOW_SIGMAS * taxel_noise_n for limit_n in above_n]
         above_n = [max(above_n[n], hidden_n[n]) for n in both]
         unseen_n = max(_UNSEEN_N, _UNSEEN_SIGMAS * taxel_noise_n)
@@ -207,3 +215,8 @@ class ForceCheck:
                 f"the centre of the force in the messages {where} the frames of the same time, "
                 f"{allowed_taxels:.2f} pitches are allowed: {_ADVICE}"
             )
+
+
+def _means_n(messages: Sequence[ForceMessage]) -> list[float]:
+    """Return the mean force in N on finger 0 and finger 1."""
+    return [sum([one.force_n[n] for one in messages]) / len(messages) for n in (0, 1)]
