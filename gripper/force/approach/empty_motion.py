@@ -175,7 +175,7 @@ class MoveTo:
             if not self._opening:
                 finger.most_a = closing_current_max_a(settings, path, stood_a=inf)
             finger.least_a, finger.current_a = least_a, current_a
-            finger.most_boost = path.most_boost
+            finger.most_boost = path.most_boost if self._opening else inf
 
     def step(self, moment: Moment) -> Action:
         """Return the goals of one period.
