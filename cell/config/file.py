@@ -52,7 +52,7 @@ def changed_config(config: _Section, changes: Mapping[str, Any]) -> _Section:
         return type(config).model_validate_json(json.dumps(values))
     except ValidationError as error:
         problems = "; ".join(
-            f"{'.'.join(map(str, item['loc'])) or 'config'}: {item['msg']}"
+            f"{'.'.join(map(str, item['loc'])) or 'config'}: {item['msg']}{_given(item['input'])}"
             for item in error.errors(include_url=False)
         )
         raise ConfigError(f"the changed config is not valid: {problems}") from error
@@ -266,13 +266,17 @@ def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
         if item["loc"] in inside:  # a list whose entries are refused counts as empty, too
             continue
         place, key = _locate(root, item["loc"])
-        value, message = item["input"], item["msg"].removeprefix("Value error, ")
-        given = "" if isinstance(value, dict | list) else f" (found: {value!r:.200})"
+        message = item["msg"].removeprefix("Value error, ")
         if item["type"] == "extra_forbidden":
             message = f"unknown key; {_meant(item['loc'])}`tactile-cell config init` writes all"
-        lines.append(f"{source}:{place}: {key or 'config'}: {message}{given}")
+        lines.append(f"{source}:{place}: {key or 'config'}: {message}{_given(item['input'])}")
     more = [f"{source}: {len(lines) - _MAX_COMPLAINTS} more errors"]
     return "\n".join(lines[:_MAX_COMPLAINTS] + more * (len(lines) > _MAX_COMPLAINTS))
+
+
+def _given(value: object) -> str:
+    """Return a refused value for a message; empty for a whole section."""
+    return "" if isinstance(value, dict | list) else f" (found: {value!r:.200})"
 
 
 def _meant(loc: tuple[int | str, ...]) -> str:

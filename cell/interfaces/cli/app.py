@@ -11,7 +11,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from cell.errors import CellError, ConfigError
-from cell.fault_catalogue import error_text
+from cell.fault_catalogue import error_text, fault_number
 from cell.interfaces.cli.signals import INTERRUPTED
 from gripper.errors import GripperError
 from tactile.errors import TactileError
@@ -175,16 +175,16 @@ def main() -> None:
     except ConfigError as error:
         _fail(str(error), 2)
     except (CellError, GripperError, TactileError) as error:
-        _fail(str(error), 1)
+        _fail(str(error), 1, fault=fault_number(error))
     except OSError as error:
         # For example a full disk, or too many open files: only the system's message is known.
         _fail(error_text(error), 1)
 
 
-def _fail(text: str, code: int) -> NoReturn:
+def _fail(text: str, code: int, *, fault: int = 0) -> NoReturn:
     """Print the error and end; another Ctrl-C has no effect."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     from cell.interfaces.cli.terminal import print_error  # noqa: PLC0415
 
-    print_error(text)
+    print_error(text, fault=fault)
     sys.exit(code)

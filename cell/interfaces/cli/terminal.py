@@ -101,9 +101,10 @@ def print_table(table: Table) -> None:
         print_line(f"  {first}: {', '.join(texts)}")
 
 
-def print_error(text: str) -> None:
-    """Print one error on standard error."""
-    err.print(f"[bold red]error:[/] {plain_text(text)}", soft_wrap=True)
+def print_error(text: str, *, fault: int = 0) -> None:
+    """Print one error on standard error, with its number in the fault catalogue; 0: none."""
+    head = f"error (fault {fault}):" if fault else "error:"
+    err.print(f"[bold red]{head}[/] {plain_text(text)}", soft_wrap=True)
 
 
 def print_cell(text: str) -> None:

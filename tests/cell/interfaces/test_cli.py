@@ -656,7 +656,7 @@ def test_a_report_that_cannot_be_written_does_not_cost_the_result(
     monkeypatch.setattr(f"{run}recorded_report", str)
     monkeypatch.setattr(f"{run}write_report", raising(ReportError("cannot write: no space left")))
     monkeypatch.setattr(f"{run}result_lines", lambda *_: printed.append("result") or ())
-    assert fail("run", "-c", config).endswith("error: cannot write: no space left")
+    assert fail("run", "-c", config).endswith("error (fault 504): cannot write: no space left")
     assert printed == ["result"]
 
 

@@ -39,6 +39,7 @@ from cell.runtime.tasks import Collection
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from recognition.drift.drift import Drift
+from recognition.grasp import DRAWING_SOURCE
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.recognizers import make_trainer
 from tests.cell.conftest import call, plain_grasp, small_config
@@ -65,6 +66,18 @@ def test_a_file_to_train_on_replaces_the_split(taught: Any) -> None:
     assert force_ramp.without_aperture is not force_ramp.full
     assert level_check.without_aperture is level_check.full  # it has no opening to leave out
     assert told[-1] == ("evaluate", 4, 4)
+
+
+def test_virtual_grasps_of_a_drawing_test_nothing(taught: Any) -> None:
+    first, *others = taught.grasps[1:9]
+    result = evaluate_recognizers(
+        [replace(first, source=DRAWING_SOURCE), *others],
+        train=taught.grasps,
+        split=SPLIT,
+        names=["level_check"],
+        progress=silent,
+    )
+    assert result.n_test == len(others)
 
 
 def test_what_cannot_be_evaluated_says_why(taught: Any) -> None:

@@ -247,7 +247,8 @@ def free_page_port(listen: str) -> int | None:
     family = socket.AF_INET6 if ":" in listen else socket.AF_INET
     try:
         socket.create_server((listen, _PAGE_PORT), family=family).close()
-    except OSError:
+    except OSError as error:
+        print_note(f"port {_PAGE_PORT}: {error.strerror}; the page gets a free one, see below")
         return 0
     return _PAGE_PORT
 
