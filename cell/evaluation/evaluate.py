@@ -13,7 +13,7 @@ from cell.learning.progress import Progress
 from cell.plugins import RECOGNIZERS
 from recognition.evaluation.evaluation import Evaluation, Mapper, evaluate, one_by_one
 from recognition.evaluation.splits import TrainTest, chronological_split, parse_split
-from recognition.grasp import Grasp
+from recognition.grasp import DRAWING_SOURCE, Grasp
 from recognition.recognizers import DEFAULT_TRAINER
 
 _NOT_WRITTEN = ("trainer", "uses_aperture", "n", "n_untaught")
@@ -127,7 +127,10 @@ def evaluate_recognizers(
 
 
 def _parts(grasps: Sequence[Grasp], split: str, train: Sequence[Grasp] | None) -> list[TrainTest]:
-    """Return pairs of grasps to train and to test. Raises CellError if a pair cannot be used."""
+    """Return pairs of grasps to train and to test; virtual grasps of a drawing test nothing.
+
+    Raises CellError if a pair cannot be used.
+    """
     if train is not None:
         parts: list[TrainTest] = [(tuple(train), tuple(grasps))]
     else:
@@ -136,6 +139,8 @@ def _parts(grasps: Sequence[Grasp], split: str, train: Sequence[Grasp] | None) -
                 parts = left_out_in_turn(grasps, split)
             else:
                 parts = [chronological_split(grasps, parse_split(split))]
+    parts = [(a, tuple(one for one in b if one.source != DRAWING_SOURCE)) for a, b in parts]
+    parts = [part for part in parts if part[1]] or parts[:1]
     for train_part, test_part in parts:
         if not train_part or not test_part:
             raise CellError(
