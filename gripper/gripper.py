@@ -323,7 +323,7 @@ class Gripper:
         MechanicsContradicted
             When nothing stops the fingers; they have no torque then.
         GripContradicted
-            When they are stopped although the pads show no force.
+            When they are stopped although the pads show no contact.
         LimitExceeded, ForceSensorStale, GraspStopped, ServoFault, BusTimeout, BusCorrupt
             As `grasp`.
         """

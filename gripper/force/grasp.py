@@ -464,12 +464,13 @@ def _too_small(settings: GripperSettings, most_n: float, force_n: float, apertur
 
 
 def _obstructed(reached: Approach) -> GripContradicted:
-    state = reached.state
+    (first_n, second_n), settings = reached.pads_n, reached.settings
     return GripContradicted(
-        f"the fingers were stopped at an opening of {state.aperture_m * 1e3:.1f} mm, pressing with "
-        f"{max(reached.currents_a):.2f} A, but the pads show no force: something is between the "
-        f"fingers beside the taxels, or the pads are blind (where nothing blocks the fingers check "
+        f"the fingers were stopped at an opening of {reached.state.aperture_m * 1e3:.1f} mm, "
+        f"pressing with {max(reached.currents_a):.2f} A, but the pads show {first_n:.2f} and "
+        f"{second_n:.2f} N, {settings.contact_force_n:g} N are a contact: something is between the "
+        f"fingers beside the taxels, the pads are blind, or gripper.contact.approach_force_n = "
+        f"{settings.approach_force_n:g} N is too low (where nothing blocks the fingers check "
         f"gripper.servos[].zero_pulse, direction and gripper.linkage){reached.friction_advice}. "
-        f"Nothing opens by itself: look between the fingers, check pads and control unit, then "
-        f"clear the fault and release"
+        f"Nothing opens by itself: look, check pads and control unit, then clear and release"
     )

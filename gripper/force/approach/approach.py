@@ -166,6 +166,11 @@ class Approach:
         return ""
 
     @property
+    def pads_n(self) -> tuple[float, float]:
+        """Mean force in N on each finger in the samples that decide on a contact; 0 with fewer."""
+        return self._touch.means_n(self.settings.contact_samples)
+
+    @property
     def touch_m(self) -> float:
         """Opening in m at which both pads were first loaded, by the samples of the contact.
 
@@ -201,10 +206,8 @@ class Approach:
             zip(self._fingers, state.servos, angles_rad, currents_a, self._least_rad, strict=True)
         ):
             waits = touched[index] and len(self._fingers) > 1
-            if not waits:
-                finger.waits_rad = None
-            elif finger.waits_rad is None:
-                finger.waits_rad = servo.angle_rad
+            since_rad = servo.angle_rad if finger.waits_rad is None else finger.waits_rad
+            finger.waits_rad = since_rad if waits else None
             angle_rad, current_a = ahead_rad, closing_a
             if stands:
                 angle_rad = servo.angle_rad
@@ -245,12 +248,12 @@ class Approach:
         self._look(state)
         if travelled and not self._travels:
             self._changed_s, self._changes = moment.now_s, True
-        least_rad_s = _RUNNING_SHARE * self._nominal_rad_s
-        most_rad_s = self._nominal_rad_s / _RUNNING_SHARE
-        self._changes &= moment.now_s - self._changed_s < _CHANGING_S and not all(
-            least_rad_s <= -servo.velocity_rad_s <= most_rad_s for servo in state.servos
-        )
-        if self._changes:
+        speeds_rad_s = [-servo.velocity_rad_s for servo in state.servos]
+        fast = max(speeds_rad_s) > self._nominal_rad_s / _RUNNING_SHARE
+        even = min(speeds_rad_s) >= self._nominal_rad_s * _RUNNING_SHARE and not fast
+        self._changes &= moment.now_s - self._changed_s < _CHANGING_S and not even
+        # Fingers that break loose with more current would follow a goal far ahead too fast.
+        if self._changes or (fast and max(finger.boost for finger in self._fingers) > 1.0):
             self._aperture_m = state.aperture_m - self._lead_m
         self._aperture_m = max(
             self._aperture_m - self._speed_m_s * moment.dt_s, state.aperture_m - self._most_lead_m()
@@ -264,7 +267,7 @@ class Approach:
         reach this current otherwise.
         """
         pressing_m = 0.0
-        if any(finger.boost > 1.0 for finger in self._fingers):
+        if max(finger.boost for finger in self._fingers) > 1.0:
             pressing_m = sum(
                 reach_m * closing_margin_rad(servo.servo_model, current_a)
                 for reach_m, servo, current_a in zip(
@@ -303,12 +306,11 @@ class Approach:
 
     def _touched(self) -> tuple[bool, ...]:
         """Return which pads are in contact: for a braked finger half the force is enough."""
-        sure_n = self._touch.means_n(self.settings.contact_samples)
         least_n = LOADED_SHARE * self.settings.contact_force_n
         return tuple(
             touched or (finger.braked_s is not None and pad_n >= least_n)
             for touched, finger, pad_n in zip(
-                self._detector.touched, (self._fingers * 2)[:2], sure_n, strict=True
+                self._detector.touched, (self._fingers * 2)[:2], self.pads_n, strict=True
             )
         )
 
