@@ -316,10 +316,12 @@ class GoalGuard:
         drive = settings.drives.of(servo.servo_id, servo.drive)
         margin_rad = max(OPENING_MARGIN_RAD, 1.1 * overrun_rad(servo.servo_model, drive))
         high_rad = self._open_rad[index] + margin_rad
-        # Fingers that stand outside (moved by hand) may be brought back in.
-        angle_rad = state.servos[index].angle_rad
-        lowest_rad = min(low_rad, angle_rad) - _EQUAL_ANGLE_RAD
-        if not lowest_rad <= goal.angle_rad <= max(high_rad, angle_rad) + _EQUAL_ANGLE_RAD:
+        # Fingers that stand outside (moved by hand, or past the end) may stay or be brought back
+        # in; the reading of a finger at rest jitters by a count.
+        angle_rad, count_rad = state.servos[index].angle_rad, servo.servo_model.rad_per_pulse
+        lowest_rad = min(low_rad - _EQUAL_ANGLE_RAD, angle_rad - count_rad)
+        highest_rad = max(high_rad + _EQUAL_ANGLE_RAD, angle_rad + count_rad)
+        if not lowest_rad <= goal.angle_rad <= highest_rad:
             raise LimitExceeded(
                 f"goal angle {goal.angle_rad:.4f} rad of servo {servo.servo_id} is not from "
                 f"{low_rad:.4f} to {high_rad:.4f} rad (closed to aperture_open_m; "

@@ -86,8 +86,8 @@ STALL_S = 0.6
 """8 degrees behind at 90 degrees a second, and 0.15 s allowed for it; the wrist speeds up first."""
 BOARD_S = 0.012
 """Period of the slowest board with its jitter."""
-BOARD_SILENT_S = 0.08 + 2 * LOOP_S
-"""Eight periods of a board without a frame are a fault."""
+BOARD_SILENT_S = 0.08 + 2 * LOOP_S + 0.002
+"""Eight periods of a board without a frame are a fault; the last one is on the line for 2 ms."""
 USKIN_SILENT_S = 0.07 + 2 * LOOP_S
 """Six periods of a board on CAN without a whole cycle are a fault."""
 

@@ -89,6 +89,16 @@ def test_one_finger_after_the_other_shows_its_torque(make_started) -> None:
             assert drive.kt_nm_a == pytest.approx(motor.kt_nm_a, rel=0.1)
 
 
+def test_a_closing_finger_whose_friction_is_more_than_was_measured_moves(make_started) -> None:
+    cell = make_started(aperture_m=0.03, present=False, approach_force_n=0.3)
+    for servo in cell.settings.servos:
+        drive = cell.settings.drives.of(servo.servo_id, servo.drive)
+        cell.settings.drives.put(servo.servo_id, drive.with_friction(0.25))
+    cell.gripper.drives.measure_friction()
+    for motor, drive in zip(cell.motors, drives(cell), strict=True):
+        assert drive.breakaway_a == pytest.approx(true_friction_a(motor), rel=0.1)
+
+
 @pytest.mark.slow
 def test_free_motions_at_several_speeds_anchor_the_motor_constant(make_started) -> None:
     cell = make_started(drive_sds=NEVER, present=False)

@@ -97,6 +97,16 @@ def test_the_guard_stands_beside_the_write(goal: ServoGoal, age_s: float, says: 
         guard.check([GOOD, goal], state, state.t_s + age_s)
 
 
+def test_a_finger_past_its_end_may_stay_where_it_was_read_one_count_before() -> None:
+    guard, count_rad = GoalGuard(PAIR, LINKAGE), PAIR.servos[0].servo_model.rad_per_pulse
+    past = replace(make_servo(angle_rad=1.4), velocity_rad_s=0.0)
+    state = make_state(servos=(past, replace(past, servo_id=2)))
+    stays, opens = (replace(GOOD, angle_rad=1.4 + n * count_rad) for n in (1, 2))
+    guard.check([stays, stays], state, state.t_s)
+    with pytest.raises(LimitExceeded, match="goal angle"):
+        guard.check([opens, opens], state, state.t_s)
+
+
 def test_a_force_above_the_cap_counts_while_it_is_young() -> None:
     guard, state = GoalGuard(PAIR, LINKAGE), standing(velocity_rad_s=0.0)
     guard.note_force(ForceSample(t_s=state.t_s, force_n=(20.0, 20.0)))

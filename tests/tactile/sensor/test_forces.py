@@ -303,6 +303,34 @@ def test_a_part_that_leaves_or_is_touched_between_two_messages_is_no_difference(
         compared(check, 0.02 * n, around(0.02 * n, before_n, before_n), (now_n, now_n))
 
 
+def test_a_force_that_changes_fast_is_no_difference() -> None:
+    def force_n(at_s: float) -> float:
+        return max(0.0, 8.0 - 300.0 * max(0.0, at_s - 0.05))
+
+    check, sent_s = ForceCheck(), 0.0
+    check.reset(taxel_noise_n=0.02)
+    for n in range(20):
+        at_s = 0.01 * n - 0.0033
+        messages = []
+        while sent_s < at_s + 0.005:
+            messages.append(message(sent_s, force_n(sent_s), force_n(sent_s)))
+            sent_s += 0.01
+        compared(check, at_s, messages, (force_n(at_s),) * 2, noise_n=0.05, centre=None)
+
+
+def test_a_message_in_three_that_shows_less_is_a_difference() -> None:
+    check, kinds = ForceCheck(), itertools.cycle((6.0, 6.0, 3.6))
+    check.reset(taxel_noise_n=0.02)
+
+    def compare_twenty() -> None:
+        for n in range(20):
+            near = [message(0.02 * n + 0.002 * i, *[next(kinds)] * 2) for i in range(-3, 3)]
+            compared(check, 0.02 * n, near, (6.0, 6.0), centre=None)
+
+    with pytest.raises(ForceContradicted):
+        compare_twenty()
+
+
 @pytest.mark.parametrize(
     ("force_n", "centre", "most"),
     [(6.0, (1.0, 0.0), 3), (2.0, (0.0, -1.0), 25), (6.0, None, 2), (6.0, (0.2, 0.2), 100)],

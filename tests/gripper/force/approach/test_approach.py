@@ -88,6 +88,15 @@ def test_the_goal_runs_ahead_by_a_little_only(approach) -> None:
     assert LINKAGE.aperture_m(angles) >= 0.02 - 0.0061
 
 
+def test_fingers_that_break_loose_get_a_goal_no_farther_ahead_than_their_speed_needs() -> None:
+    approach = new_approach()
+    for i in range(200):
+        _, stuck = step(approach, 0.005 * i, DT_S, state(0.005 * i, 0.02, 0.0), None)
+    _, loose = step(approach, 1.0, DT_S, state(1.0, 0.0199, -0.06), None)
+    assert LINKAGE.aperture_m(stuck) < 0.02 - 0.005
+    assert LINKAGE.aperture_m(loose) > 0.0199 - 0.0025
+
+
 @pytest.mark.parametrize(("t_s", "aperture_m"), [(0.0, 0.0004), (3.0, 0.02)])
 def test_closed_or_out_of_time_is_the_limit_even_when_the_pads_touch_each_other(
     t_s, aperture_m
