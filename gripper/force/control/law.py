@@ -34,7 +34,7 @@ from gripper.mechanics.impact import CURRENT_S, ImpactLimit, current_share, impa
 from gripper.mechanics.kinematics import Transmission, driving_n
 from gripper.servos.goal_limits import MOST_STICTION, pressing_speed_m_s
 from gripper.values.force_sensor import ForceSample
-from gripper.values.recent import FRAME_S
+from gripper.values.recent import FRAME_S, LOOK_BACK_S
 from gripper.values.state import GRAIN_M, ServoFeedback
 
 _ACTS_S = 0.001 + CURRENT_S
@@ -237,7 +237,7 @@ class ForceLaw:
             grip, now_s, stiffness_n_m=self._stiffness[0], stiffness_sd=self._stiffness[1]
         )
         self.plan = ForcePlan(self.observer.force_n)
-        self._drives_n, self._balance_n = History(), grip.balance_n
+        self._drives_n, self._samples_n, self._balance_n = History(), History(), grip.balance_n
         self._setpoint_n, self._rates_n_s = grip.setpoint_n, deque([0.0], maxlen=3)
         self._started_m, self._most_m_s = grip.apertures.newest, 0.0
         self._falls, self._still_s = False, 0.0
@@ -410,7 +410,10 @@ class ForceLaw:
         LimitExceeded when the jump lasts.
         """
         observer, setpoint_n = self.observer, period.setpoint_n
-        jump_n = observer.unexplained_n(sample)
+        self._samples_n.add(sample.t_s, sample.grip_n)
+        # After a wrong prediction the force is unexplained too, but it has not grown.
+        grown_n = sample.grip_n - self._samples_n.at(sample.t_s - LOOK_BACK_S)
+        jump_n = min(observer.unexplained_n(sample), grown_n)
         least_n = max(_JUMP_N, _JUMP_SHARE * setpoint_n)
         least_n += _JUMP_SDS * hypot(sample.noise_n, observer.force_sd_n)
         if jump_n <= least_n:

@@ -21,6 +21,7 @@ import numpy as np
 
 from gripper.force.estimates.grip import Grip, History
 from gripper.force.loop import Moment
+from gripper.mechanics.impact import impact_limit
 from gripper.servos.motion import position_sd_rad
 from gripper.values.force_sensor import ForceSample
 
@@ -54,7 +55,8 @@ class GripObserver:
     def __init__(
         self, grip: Grip, now_s: float, *, stiffness_n_m: float, stiffness_sd: float
     ) -> None:
-        self.mass_kg = grip.mass_kg
+        self.mass_kg = impact_limit(grip.settings, grip.linkage).mass_kg
+        """Moving mass of a finger at the pad in kg."""
         self.stiffness_n_m, self.stiffness_sd = stiffness_n_m, stiffness_sd
         self.force_n = max(0.0, grip.force_n)
         """Grip force in N."""

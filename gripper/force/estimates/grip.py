@@ -1,11 +1,10 @@
 """State of one grip that control and supervision share, with the stiffness of its part."""
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import inf
 
 from gripper.force.loop import Moment
-from gripper.mechanics.impact import impact_limit
 from gripper.mechanics.kinematics import Linkage
 from gripper.settings import GripperSettings
 from gripper.values.recent import ONE_FRAME_S
@@ -134,8 +133,3 @@ class Grip:
     """Estimated grip force in N, and the drive in N that balances it without friction."""
     drive_n: float
     """Driving force of the last period in N. It opens below 0."""
-    mass_kg: float = field(init=False)
-    """Moving mass of a finger at the pad in kg."""
-
-    def __post_init__(self) -> None:
-        self.mass_kg = impact_limit(self.settings, self.linkage).mass_kg

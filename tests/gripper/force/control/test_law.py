@@ -67,7 +67,7 @@ class Grip:
     ) -> None:
         self.grip, self.paths = make_grip(force_n), paths
         self.law = ForceLaw(self.grip, 0.0, stiffness_n_m=STIFFNESS_N_M, stiffness_sd=0.5)
-        self.finger = Finger(paths[0], self.grip.mass_kg, force_n, stiction)
+        self.finger = Finger(paths[0], self.law.observer.mass_kg, force_n, stiction)
         self.random, self.periods, self.gain = random.Random(3), 0, 1.0
 
     def follow(
@@ -208,6 +208,18 @@ def test_a_zero_that_jumps_is_a_fault_and_moves_nothing() -> None:
     with pytest.raises(LimitExceeded, match=r"their zero has jumped, or .* the grip kept"):
         grip.follow([3.0] * 50)
     assert grip.finger.force_n == pytest.approx(3.0, abs=0.05)
+
+
+def test_a_force_that_was_predicted_wrongly_has_not_jumped() -> None:
+    grip = Grip(3.0)
+    grip.follow([3.0] * 50)
+    observer = grip.law.observer
+    before_n_m = observer.stiffness_n_m
+    observer.force_n -= 2.0
+    observer._forces.shift(-2.0)
+    grip.follow([3.0] * 50)
+    assert observer.force_n == pytest.approx(3.0, abs=0.3)
+    assert observer.stiffness_n_m == pytest.approx(before_n_m, rel=0.5)
 
 
 def test_by_current_the_drive_is_the_edge_of_the_friction_and_then_its_middle() -> None:
