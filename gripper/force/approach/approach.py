@@ -200,7 +200,6 @@ class Approach:
         self.event = self._result(moment.now_s, touched)
         currents_a = self._most_a if self._changes and self._travels else self.currents_a
         angles_rad = self._linkage.angles_rad(self._aperture_m)
-        stands = self.event in (ApproachEvent.LIMIT, ApproachEvent.OBSTRUCTED)
         goals = []
         for index, (finger, servo, ahead_rad, closing_a, least_rad) in enumerate(
             zip(self._fingers, state.servos, angles_rad, currents_a, self._least_rad, strict=True)
@@ -209,7 +208,7 @@ class Approach:
             since_rad = servo.angle_rad if finger.waits_rad is None else finger.waits_rad
             finger.waits_rad = since_rad if waits else None
             angle_rad, current_a = ahead_rad, closing_a
-            if stands:
+            if self.event in (ApproachEvent.LIMIT, ApproachEvent.OBSTRUCTED):
                 angle_rad = servo.angle_rad
             elif finger.waits_rad is not None:
                 angle_rad = finger.waits_rad

@@ -59,7 +59,8 @@ class GripControl:
         """Decides whether the part is gone; called before `goals` in each period."""
         # The opening shrinks by the yield of both pads, and each end of it is off by a grain.
         yielded_m += 2.0 * GRAIN_M
-        pad_n_m = 2.0 * _HARDENS * max(force_n, self.watch.pads.empty_n) / yielded_m
+        touch_n = max(force_n, self.watch.pads.empty_n)
+        pad_n_m = max(2.0 * _HARDENS * touch_n / yielded_m, reached.stiffness.least_n_m)
         pad_sd = hypot(STIFFNESS_SD, 2.0 * GRAIN_M / yielded_m)
         self._law = ForceLaw(grip, now_s, stiffness_n_m=pad_n_m, stiffness_sd=pad_sd)
         self._goals = DriveGoals(grip, state, reached.touch_m)

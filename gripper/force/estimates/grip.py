@@ -80,6 +80,8 @@ class StiffnessEstimate:
         self._pairs: deque[tuple[float, float]] = deque(maxlen=_MEAN_SAMPLES)
         self._anchor: tuple[float, float] | None = None
         self._sample_s: float | None = None
+        self.least_n_m = 0.0
+        """Least stiffness at one pad in N/m at the contact, where more is known of the part."""
         self.stiffness_n_m: float | None = None
         """Growth of the grip force for each m of closing; None before it was measured."""
 
