@@ -189,8 +189,8 @@ class ForceCheck:
         apart_taxels, allowed_taxels = [0.0, 0.0], _CENTRE_TAXELS
         if centre_taxels is not None and min(0.5 * sum(force_n), grip_n) >= least_n:
             # Messages without a centre, and a frame with one: the largest possible error.
-            shown_taxels = mean_centre_taxels(messages) or (inf, inf)
-            apart_taxels = [shown_taxels[n] - centre_taxels[n] for n in both]
+            message_taxels = mean_centre_taxels(messages) or (inf, inf)
+            apart_taxels = [message_taxels[n] - centre_taxels[n] for n in both]
             by_force = _CENTRE_N_TAXELS / max(0.5 * sum(frame_n), _CENTRE_LEAST_N)
             noise = [max(by_force, _CENTRE_BOTH * centre_noise_taxels[n]) for n in both]
             hidden = 0.5 * sum([whole_n[n] - force_n[n] for n in both])
