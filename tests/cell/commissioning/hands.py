@@ -173,8 +173,8 @@ class Person:
         self._cell = cell
         self.ask = CellRequests(cell.devices, cell.injector)
         self._hands = Hands(self.ask, cell.clock.sleep)
-        self.pressed_n = 0.0
-        """Largest force on the soft part in N."""
+        self.pressed_n: list[float] = []
+        """Force on the soft part in N at each look."""
         self.practice = dict(practice or {})
         named = {key.replace("__", "."): reply for key, reply in replies.items()}
         self.script = Script(named, heard=self.heard, moment=self.moment, otherwise=self._answer)
@@ -216,4 +216,4 @@ class Person:
         """Feel the force on the soft part."""
         asked = self.script.asked
         if "first_force.part" in asked and "first_force.empty_again" not in asked:
-            self.pressed_n = max(self.pressed_n, *self._cell.world.contact_force_n())
+            self.pressed_n.append(max(self._cell.world.contact_force_n()))

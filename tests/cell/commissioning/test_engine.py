@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import pytest
@@ -273,8 +274,10 @@ def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path, m
     if sensor == "flexitac":
         assert "named by their USB sockets: leave them" in said
         assert config.tactile.serial_ports == (by_path(1), by_path(0))
-    four = findings["first_force"].values["asked_held_peak_n"][-1]
-    assert person.pressed_n == pytest.approx(four[1], abs=1.0)
+    # The median: a push on the ramp may pass the held force for some periods.
+    asked_n, held_n, _ = findings["first_force"].values["asked_held_peak_n"][-1]
+    pressed_n = [force_n for force_n in person.pressed_n if force_n > 0.5 * asked_n]
+    assert median(pressed_n) == pytest.approx(held_n, abs=1.0)
 
 
 @pytest.mark.long
