@@ -392,7 +392,7 @@ class ContactStep(GripStep):
         """Advance the time on the ramp: begin it, end it early, or continue."""
         if self.control is None:
             self.control = GripControl(
-                self._linkage, self._reached, force_n=self._rest.force_n, now_s=moment.now_s
+                self._linkage, self._reached, force_n=self._rest.force_n, moment=moment
             )
             begun = self._time.ramp.starting_from(self._rest.force_n)
             self._time = RampTime(self._settings, begun)

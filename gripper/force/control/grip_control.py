@@ -26,15 +26,15 @@ class GripControl:
     reached
         End of the approach, at the contact.
     force_n
-        Grip force at the contact in N.
-    now_s
-        Monotonic time in s.
+        Grip force after the rest in N.
+    moment
+        First period after the rest at the contact: the fingers may have moved in it.
     """
 
     def __init__(
-        self, linkage: Linkage, reached: Approach, *, force_n: float, now_s: float
+        self, linkage: Linkage, reached: Approach, *, force_n: float, moment: Moment
     ) -> None:
-        settings, state = reached.settings, reached.state
+        settings, state = reached.settings, moment.state
         self._settings = settings
         self._linkage = linkage
         self.grip = grip = Grip(
@@ -48,7 +48,7 @@ class GripControl:
             balance_n=force_n,
             drive_n=force_n,
         )
-        grip.apertures.add(now_s, state.aperture_m)
+        grip.apertures.add(moment.now_s, state.aperture_m)
         yielded_m = max(reached.touch_m - state.aperture_m, 0.0)
         # A high load at the first touch: stiff, or no part at all.
         contact_n_m = force_n / max(yielded_m, GRAIN_M) if force_n > KNOWN_N else None
@@ -62,7 +62,7 @@ class GripControl:
         touch_n = max(force_n, self.watch.pads.empty_n)
         pad_n_m = max(2.0 * _HARDENS * touch_n / yielded_m, reached.stiffness.least_n_m)
         pad_sd = hypot(STIFFNESS_SD, 2.0 * GRAIN_M / yielded_m)
-        self._law = ForceLaw(grip, now_s, stiffness_n_m=pad_n_m, stiffness_sd=pad_sd)
+        self._law = ForceLaw(grip, moment.now_s, stiffness_n_m=pad_n_m, stiffness_sd=pad_sd)
         self._goals = DriveGoals(grip, state, reached.touch_m)
 
     @property

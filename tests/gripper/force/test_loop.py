@@ -52,7 +52,7 @@ def test_a_dead_bus_is_given_up_in_bounded_time_and_the_grip_stays(started) -> N
     assert 0.06 < started.clock.monotonic() - started.acted_s[0] < 0.1
     assert started.gripper.phase is GripperPhase.HELD_AFTER_FAULT
     started.clock.sleep(2.0)
-    assert started.force_n > 1.4
+    assert started.force_n > 1.2  # the friction of the gearing alone
     transactions = started.bus.statistics.transactions
     started.gripper.keep_grip()
     assert started.bus.statistics.transactions == transactions
