@@ -139,7 +139,11 @@ def _parts(grasps: Sequence[Grasp], split: str, train: Sequence[Grasp] | None) -
                 parts = left_out_in_turn(grasps, split)
             else:
                 parts = [chronological_split(grasps, parse_split(split))]
-    parts = [(a, tuple(one for one in b if one.source != DRAWING_SOURCE)) for a, b in parts]
+    parts = [
+        (taught, tuple(grasp for grasp in tested if grasp.source != DRAWING_SOURCE))
+        for taught, tested in parts
+    ]
+    # A part with virtual grasps alone is left out; if there is no other, it is the error below.
     parts = [part for part in parts if part[1]] or parts[:1]
     for train_part, test_part in parts:
         if not train_part or not test_part:

@@ -169,7 +169,8 @@ class ForceCheck:
             return
         taxel_noise_n, both = self._taxel_noise_n, (0, 1)
         # With two values each, lists take a sixth of the time of arrays.
-        message_n, half = _means_n(messages), max(1, len(near) // 2)
+        message_n = _means_n(messages)
+        half = max(1, len(near) // 2)
         # Where the force changes fast, so much may be between a scan and the messages around it.
         first_n, last_n = _means_n(near[:half]), _means_n(near[-half:])
         frame_n = [max(force_n[n], min(whole_n[n], message_n[n])) for n in both]
