@@ -8,11 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import cell.commissioning.doctor
 from cell.build import build_cell
-from cell.commissioning.doctor import Commissioning, examine
+from cell.commissioning.doctor import Commissioning, _load, examine
 from cell.commissioning.findings import Finding, Verdict
 from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
@@ -231,6 +232,14 @@ def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
     assert "it is unknown whether a part is held" in findings["servo torque"].advice
     assert findings["pads' force"].verdict is Verdict.WARN
     simulated.close()
+
+
+@pytest.mark.parametrize(("n_pressed", "verdict"), [(1, Verdict.PASS), (4, Verdict.WARN)])
+def test_a_part_at_the_contact_force_is_a_warning(n_pressed, verdict) -> None:
+    """A taxel of 12 counts has about 0.1 N. The contact force is 0.6 N, most of it unseen."""
+    counts = np.tile(400 + np.arange(408, dtype=np.uint16) % 5, (10, 1))
+    counts[:, :n_pressed] += 12
+    assert _load(counts, CellConfig(), "").verdict is verdict
 
 
 @pytest.mark.slow
