@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, solve_triangular
+from scipy.linalg import eigh
 from scipy.sparse import csr_array
 
 from recognition.records import ArrayRecord
@@ -15,8 +15,9 @@ _SPREAD_FLOOR = 1e-2
 """Least unit of a feature, as a share of its deviation over all grasps: rounding must not count as
 variation."""
 _DIAGONAL_FLOOR = 1e-9
-"""Added to the diagonal of the covariance, in squared units of the features, for its
-factorisation."""
+"""Added to the diagonal of the covariance, in squared units of the features: none is 0."""
+_LEAST_VARIANCE = 1e-9
+"""Variance along an axis, over that of the target, below which the grasps do not vary."""
 _AT_A_TIME = 4096
 """Rows centred at a time."""
 
@@ -27,15 +28,17 @@ class LinearDiscriminant(ArrayRecord):
 
     mean: NDArray[np.float64]
     scale: NDArray[np.float64]
-    """(F,) float64: features are centred and scaled by these before all else."""
+    """(F,) float64: features are centred and scaled by these before all else. The target of the
+    covariance is then the identity."""
     projection: NDArray[np.float64]
     """(F, r) float64: from scaled features to the discriminant space, where each class has unit
     covariance."""
     centres: NDArray[np.float64]
     """(C, r) float64: classes in the discriminant space."""
-    whitening: NDArray[np.float64]
-    """(F, F) float64: from scaled features to the whole space in which each class has unit
-    covariance."""
+    variation: NDArray[np.float64]
+    """(F, k) float64: axes along which the taught grasps of a class vary. With the variance v on an
+    axis above that of the target, its length is sqrt(v / (1 + v)). In units of the covariance, the
+    squared length of scaled features y is y @ y - (y @ variation)^2 (Woodbury)."""
 
     def project(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, r): features (n, F) in the discriminant space."""
@@ -115,29 +118,34 @@ def fit_lda(
         deviation = nuisance / scale
         covariance += deviation.T @ deviation / len(deviation)
     level = float(np.trace(covariance)) / n_features
-    covariance *= 1.0 - rho
-    covariance[np.diag_indices(n_features)] += (
-        rho * level * (1.0 if target is None else target) + _DIAGONAL_FLOOR
-    )
-    lower = np.tril(cho_factor(covariance, lower=True)[0])
-    whitening = solve_triangular(lower, np.eye(n_features), lower=True).T
+    target = np.ones(n_features) if target is None else target
+    unit = np.sqrt(rho * level * target + _DIAGONAL_FLOOR)
+    scale *= unit
+    variance, axes = eigh((1.0 - rho) * covariance / np.outer(unit, unit))
+    variance, axes = variance[variance > _LEAST_VARIANCE], axes[:, variance > _LEAST_VARIANCE]
+
+    def whiten(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        white: NDArray[np.float64] = (
+            rows + rows @ axes * (1.0 / np.sqrt(1.0 + variance) - 1.0) @ axes.T
+        )
+        return white
+
     if n_classes == 1:
         # One class has nothing to separate from: distances are those in the whole whitened space.
-        projection, centres = whitening, np.zeros((1, n_features))
+        projection, centres = whiten(np.eye(n_features)), np.zeros((1, n_features))
     else:
         # The means span a few axes of the whitened space, which separate the classes.
         offsets = (means - mean) / scale
-        _, spread, axes = np.linalg.svd(offsets @ whitening, full_matrices=False)
+        _, spread, apart = np.linalg.svd(whiten(offsets), full_matrices=False)
         rank = int(np.sum(spread > _RANK_TOLERANCE * max(float(spread[0]), 1e-300)))
-        rank = min(rank, most_axes or rank)
-        projection = whitening @ axes[:rank].T
+        projection = whiten(apart[: min(rank, most_axes or rank)]).T
         centres = offsets @ projection
     return LinearDiscriminant(
         mean=mean,
         scale=scale,
         projection=projection,
         centres=centres,
-        whitening=whitening,
+        variation=axes * np.sqrt(variance / (1.0 + variance)),
     )
 
 

@@ -37,10 +37,11 @@ def test_the_files_of_a_release_are_small() -> None:
 
 
 @pytest.mark.slow
-def test_config_data_set_and_model_are_used(release: Path) -> None:
+def test_config_data_set_and_models_are_used(release: Path) -> None:
     assert "valid: press-4" in " ".join(call("config", "check", "tactile-cell.yaml").split())
-    text = call("identify", "parts.npz", "-m", "parts.model.npz")
-    assert text.count("(was ball)") + text.count(": ball ") >= 4
+    for model in ("parts.model.npz", "default.model.npz"):
+        text = call("identify", "parts.npz", "-m", model)
+        assert text.count("(was ball)") + text.count(": ball ") >= 4, model
     call("model", "train", "parts.npz", "-o", "new.npz")
     call("model", "evaluate", "parts.npz", "--train", "parts.npz", "--recognizer", "level_check")
 

@@ -45,6 +45,7 @@ def make_files() -> None:
     Path("tactile-cell.yaml").write_text(config_text(config, comments=False))
     for part in ("ball", "box"):
         call("teach", part, "-n", 4, "-o", "parts.npz")
+    call("model", "train", "parts.npz", "-o", "default.model.npz")
     call("model", "train", "parts.npz", "-o", "parts.model.npz", "--recognizer", "level_check")
     call("hand", "zero", "-c", "tactile-cell.yaml")
     for job in Path("jobs").glob("*-*/"):

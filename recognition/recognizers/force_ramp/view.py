@@ -125,9 +125,10 @@ class ClassModel(ArrayRecord):
         unit = np.ones(shape)
         n_outside = len(model.mean) - rank
         if n_outside:
-            a, b = touch @ model.whitening[:n_touch], opening @ model.whitening[n_touch:]
-            every = (a**2).sum(-1)[:, :, None] + (b**2).sum(-1)[:, None]
-            every = every + 2.0 * (a @ b.transpose(0, 2, 1))
+            a, b = touch @ model.variation[:n_touch], opening @ model.variation[n_touch:]
+            every = (touch**2).sum(-1)[:, :, None] + (opening**2).sum(-1)[:, None]
+            every -= (a**2).sum(-1)[:, :, None] + (b**2).sum(-1)[:, None]
+            every -= 2.0 * (a @ b.transpose(0, 2, 1))
             outside = np.maximum(every - (z**2).sum(-1), 0.0) / n_outside
             unit = (1.0 + outside) ** (SETTINGS.beside_power * rank / (rank + SETTINGS.beside_axes))
         lengths = (z**2).sum(axis=-1)
