@@ -8,7 +8,6 @@ import struct
 from bisect import bisect_left, bisect_right
 from collections import Counter, defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -197,39 +196,57 @@ def between(rows: Rows, begin_s: float, end_s: float) -> Rows:
     return rows[part].view(np.recarray)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Recording:
-    """Content of a recording."""
+class Recording(RecordedMessages):
+    """Content of a recording; of a damaged or truncated file all valid data.
 
-    path: Path
-    metadata: dict[str, str]
-    pads: PadArray
-    """Its path, its metadata, the pads of its frames."""
-    wall_clock_start_ns: int
-    """Wall clock at the start in ns."""
-    frames: Rows
-    """Tactile frames: ``t_s`` is monotonic time in s, ``number`` counts all frames, a gap is a lost
-    chunk; ``counts`` (n, n_taxels) uint16 are raw, ``extra`` (n, n_taxels, k) uint16 further
-    samples, k is 0 without any."""
-    cycles: Rows
-    """Periods of the force loop: ``phase`` of the gripper, its numbers as in `schema.Cycle`, among
-    them ``force_n`` (n, 2) of both fingers; NaN where a value was not known."""
-    poses: tuple[dict[str, Any], ...] = ()
-    events: tuple[dict[str, Any], ...] = ()
-    results: tuple[dict[str, Any], ...] = ()
-    states: tuple[dict[str, Any], ...] = ()
-    statistics: tuple[dict[str, Any], ...] = ()
-    """Messages as plain objects, fields as in `schema`."""
-    grasps: tuple[Grasp, ...] = ()
-    """The grasps with all their frames."""
-    grasp_numbers: tuple[int, ...] = ()
-    """Their numbers among all grasps in the file, from 0."""
-    grasp_t_s: tuple[float, ...] = ()
-    """Monotonic time in s of the first frame of each grasp."""
-    n_broken_grasps: int = 0
-    """Number of grasps that are damaged or lack frames; they are not in ``grasps``."""
-    lost_reason: str = ""
-    """Why it is not complete, or empty."""
+    Raises RecordingError if it is not a recording of this package, or so short that its description
+    is missing.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        frames, frame_kind, cycles = bytearray(), np.dtype([]), bytearray()
+        rows: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
+        for topic, content, _ in self:
+            if topic == schema.FRAME:
+                extra = np.reshape(content.get("extra", ()), (self.pads.n_taxels, -1))
+                frame_kind = frame_kind if frames else _frame_kind(*extra.shape)
+                values = (content["t_s"], content["number"], content["counts"], extra)
+                frames += np.array(values, frame_kind).tobytes()
+            elif topic == schema.CYCLE:
+                force_n = content.get("force_n", ())
+                numbers = (content.get(name, np.nan) for name in _CYCLE_NUMBERS)
+                both_n = force_n if len(force_n) == 2 else (np.nan, np.nan)
+                cycles += np.array((content["phase"], *numbers, both_n), _CYCLE).tobytes()
+            else:
+                rows[topic].append(content)
+        self.frames = _rows(frames, frame_kind if frames else _frame_kind(self.pads.n_taxels, 0))
+        """Tactile frames: ``t_s`` is monotonic time in s, ``number`` counts all frames, a gap is a
+        lost chunk; ``counts`` (n, n_taxels) uint16 are raw, ``extra`` (n, n_taxels, k) uint16
+        further samples, k is 0 without any."""
+        self.cycles = _rows(cycles, _CYCLE)
+        """Periods of the force loop: ``phase`` of the gripper, its numbers as in `schema.Cycle`,
+        among them ``force_n`` (n, 2) of both fingers; NaN where a value was not known."""
+        self.poses, self.events, self.results, self.states, self.statistics = (
+            tuple(rows[topic])
+            for topic in (schema.POSE, schema.EVENT, schema.RESULT, schema.STATE, schema.LOOP)
+        )
+        """Messages as plain objects, fields as in `schema`."""
+        grasps = self._whole_grasps(rows[schema.GRASP])
+        self.grasps = tuple(grasp for grasp, _ in grasps.values())
+        """The grasps with all their frames."""
+        self.grasp_numbers = tuple(grasps)
+        """Their numbers among all grasps in the file, from 0."""
+        self.grasp_t_s = tuple(t_s for _, t_s in grasps.values())
+        """Monotonic time in s of the first frame of each grasp."""
+        self.n_broken_grasps = self.n_of[schema.GRASP] - len(grasps)
+        """Number of grasps that are damaged or lack frames; they are not in ``grasps``."""
+        if (
+            not self.lost_reason
+            and schema.RECOVERED not in self.metadata
+            and np.any(self.frames.number != np.arange(len(self.frames)))
+        ):
+            self.lose(f"its {len(self.frames)} frames are not all that were recorded")
 
     @property
     def complete(self) -> bool:
@@ -247,55 +264,32 @@ class Recording:
             n_grasps = max(1, int(row["n_grasps"]))
             yield row, [i for i in met if not self.grasps[i].label][-n_grasps:]
 
+    def _whole_grasps(self, rows: list[dict[str, Any]]) -> dict[int, tuple[Grasp, float]]:
+        """Return each whole grasp by its number, with the time of its first frame in s."""
+        grasps, n_used, frames = dict[int, tuple[Grasp, float]](), 0, self.frames
+        for number, row in enumerate(rows):
+            first_frame, n_frames = row["first_frame"], row["n_frames"]
+            first = bisect_left(frames.number, first_frame)
+            part = slice(first, first + n_frames)
+            try:
+                numbers = frames.number[part]
+                if not 0 < n_frames == len(numbers) or np.any(
+                    np.diff(numbers, prepend=first_frame - 1) != 1
+                ):
+                    raise ValueError("frames of it are missing")
+                if first_frame < n_used:
+                    raise ValueError("its frames belong to other grasps")
+                n_used = first_frame + n_frames
+                grasp = _grasp(row, self.pads, frames, part)
+                grasps[number] = (grasp, float(frames.t_s[first]))
+            except (ValueError, OverflowError) as cause:
+                self.lose(f"grasp {number + 1} is left out: {cause}")
+        return grasps
+
 
 def read_recording(path: Path | str) -> Recording:
-    """Read a recording; from a damaged or truncated file all valid data.
-
-    Raises RecordingError if it is not a recording of this package, or so short that its description
-    is missing.
-    """
-    messages = RecordedMessages(Path(path))
-    frames, frame_kind, cycles = bytearray(), np.dtype([]), bytearray()
-    rows: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
-    for topic, content, _ in messages:
-        if topic == schema.FRAME:
-            extra = np.reshape(content.get("extra", ()), (messages.pads.n_taxels, -1))
-            frame_kind = frame_kind if frames else _frame_kind(*extra.shape)
-            values = (content["t_s"], content["number"], content["counts"], extra)
-            frames += np.array(values, frame_kind).tobytes()
-        elif topic == schema.CYCLE:
-            force_n = content.get("force_n", ())
-            numbers = (content.get(name, np.nan) for name in _CYCLE_NUMBERS)
-            both_n = force_n if len(force_n) == 2 else (np.nan, np.nan)
-            cycles += np.array((content["phase"], *numbers, both_n), _CYCLE).tobytes()
-        else:
-            rows[topic].append(content)
-    recorded = _rows(frames, frame_kind if frames else _frame_kind(messages.pads.n_taxels, 0))
-    grasps = _grasps(rows[schema.GRASP], recorded, messages)
-    if (
-        not messages.lost_reason
-        and schema.RECOVERED not in messages.metadata
-        and np.any(recorded.number != np.arange(len(recorded)))
-    ):
-        messages.lose(f"its {len(recorded)} frames are not all that were recorded")
-    return Recording(
-        path=messages.path,
-        metadata=messages.metadata,
-        pads=messages.pads,
-        wall_clock_start_ns=messages.wall_clock_start_ns,
-        frames=recorded,
-        cycles=_rows(cycles, _CYCLE),
-        poses=tuple(rows[schema.POSE]),
-        events=tuple(rows[schema.EVENT]),
-        results=tuple(rows[schema.RESULT]),
-        states=tuple(rows[schema.STATE]),
-        statistics=tuple(rows[schema.LOOP]),
-        grasps=tuple(grasp for grasp, _ in grasps.values()),
-        grasp_numbers=tuple(grasps),
-        grasp_t_s=tuple(t_s for _, t_s in grasps.values()),
-        n_broken_grasps=messages.n_of[schema.GRASP] - len(grasps),
-        lost_reason=messages.lost_reason,
-    )
+    """Read a recording. Raises RecordingError as `Recording`."""
+    return Recording(Path(path))
 
 
 def recording_grasps(path: Path | str) -> tuple[Grasp, ...]:
@@ -323,31 +317,6 @@ def _rows(data: bytearray, kind: np.dtype[Any]) -> Rows:
     rows = np.frombuffer(data, kind).view(np.recarray)
     rows.setflags(write=False)
     return rows
-
-
-def _grasps(
-    rows: list[dict[str, Any]], frames: Rows, messages: RecordedMessages
-) -> dict[int, tuple[Grasp, float]]:
-    """Return each whole grasp by its number, with the time of its first frame in s."""
-    grasps, n_used = dict[int, tuple[Grasp, float]](), 0
-    for number, row in enumerate(rows):
-        first_frame, n_frames = row["first_frame"], row["n_frames"]
-        first = bisect_left(frames.number, first_frame)
-        part = slice(first, first + n_frames)
-        try:
-            numbers = frames.number[part]
-            if not 0 < n_frames == len(numbers) or np.any(
-                np.diff(numbers, prepend=first_frame - 1) != 1
-            ):
-                raise ValueError("frames of it are missing")
-            if first_frame < n_used:
-                raise ValueError("its frames belong to other grasps")
-            n_used = first_frame + n_frames
-            grasp = _grasp(row, messages.pads, frames, part)
-            grasps[number] = (grasp, float(frames.t_s[first]))
-        except (ValueError, OverflowError) as cause:
-            messages.lose(f"grasp {number + 1} is left out: {cause}")
-    return grasps
 
 
 def _grasp(row: dict[str, Any], pads: PadArray, frames: Rows, part: slice) -> Grasp:

@@ -60,85 +60,6 @@ class MessageWriter:
         self._writer.finish()  # type: ignore[no-untyped-call]
 
 
-class RecordingFile:
-    """One file of a recording; a failure of the disk stops it and is in ``fault``, never raised.
-
-    Raises RecordingError if the file cannot be made; an existing one is never overwritten.
-    ``note`` gets the fault as a message for the operator.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        entries: Mapping[str, str],
-        *,
-        background: bool,
-        note: Callable[[str], None],
-    ) -> None:
-        self.path = path
-        self.fault: RecordingError | None = None
-        """Why the file ended early; None while it is written."""
-        self.n_frames = 0
-        """Frames so far."""
-        self._note = note
-        try:
-            self.sink = RecordingSink(path, background=background)
-        except FileExistsError as cause:
-            raise RecordingError(
-                f"{path} exists; recordings are never overwritten, choose another name"
-            ) from cause
-        except OSError as cause:
-            raise RecordingError(
-                f"cannot record to {path}: {cause.strerror}; check folder and rights"
-            ) from cause
-        self._writer = MessageWriter(self.sink, entries)
-        self.check()
-
-    def add(self, topic: str, t_s: float, values: Mapping[str, Any]) -> None:
-        """Add a message of a monotonic time in s; does nothing after a fault.
-
-        On a nearly full disk the file ends with a NOTE.
-        """
-        if self.fault is not None:
-            return
-        self._writer.add(topic, t_s, schema.to_json({"t_s": t_s, **values}))
-        self.n_frames += topic == schema.FRAME
-        if self.sink.nearly_full and self.sink.error is None:
-            fault = self._stopped("the disk is nearly full")
-            note = {"t_s": t_s, "kind": "note", "text": str(fault)}
-            self._writer.add(schema.EVENT, t_s, schema.to_json(note))
-            self._writer.finish()
-            if self.sink.error is None:
-                self._stop(fault)
-        self.check()
-
-    def check(self) -> None:
-        """Check whether the disk has failed since the last message."""
-        error = self.sink.error
-        if self.fault is None and error is not None:
-            fault = self._stopped(error.strerror or str(error))
-            fault.__cause__ = error
-            self._stop(fault)
-
-    def close(self) -> None:
-        """Finish the file, as far as its disk allows; wait for the disk."""
-        if self.fault is None:
-            self._writer.finish()
-        self.sink.close()
-        self.check()
-
-    def _stopped(self, reason: str) -> RecordingError:
-        return RecordingError(
-            f"the recording {self.path} stopped after {self.n_frames} frames: {reason}; free "
-            "space or choose another disk: the next job records again"
-        )
-
-    def _stop(self, fault: RecordingError) -> None:
-        self.fault = fault
-        self._note(str(fault))
-        self.sink.end()
-
-
 class Recorder:
     """Writes frames, cycles, poses, events, grasps and results of one sequence as they come.
 
@@ -189,40 +110,37 @@ class Recorder:
         self._background = background
         self._note = note
         self._closed = False
+        self.fault: RecordingError | None = None
+        """Why the recording has stopped; None while it is written."""
         self._newest_counts: NDArray[np.uint16] = np.zeros(0, dtype=np.uint16)
-        self._file = self._new_file(self._first_path)
+        self._start(self._new_sink(self._first_path))
 
     @property
     def path(self) -> Path:
         """The present or last file."""
-        return self._file.path
-
-    @property
-    def fault(self) -> RecordingError | None:
-        """Why the recording has stopped; None while it is written."""
-        return self._file.fault
+        return self._sink.path
 
     def begin(self) -> bool:
         """Continue in a new file if the present one has stopped or is long; between two grasps.
 
         Return whether a new file begins. Without room on the disk the recording stays stopped.
         """
-        before = self._file
-        if before.fault is None and before.sink.tell() < LONG_BYTES:
+        fault = self.fault
+        if fault is None and self._sink.tell() < LONG_BYTES:
             return False
-        folder = self._first_path.parent
         try:
-            if before.sink.busy or free_bytes(folder) < ROOM_BYTES:
+            if self._sink.busy or free_bytes(self._first_path.parent) < ROOM_BYTES:
                 return False
-            if before.fault is not None and not before.n_frames:
-                before.path.unlink(missing_ok=True)
-            self._file = self._new_file(self._free_path())
+            if fault is not None and not self._n_frames:
+                self.path.unlink(missing_ok=True)
+            sink = self._new_sink(self._free_path())
         except (OSError, RecordingError):
             return False
-        if before.fault is None:
-            before.close()
-        else:
-            self.now(schema.EVENT, {"kind": "note", "text": str(before.fault)})
+        if fault is None:
+            self._finish()
+        self._start(sink)
+        if fault is not None:
+            self.now(schema.EVENT, {"kind": "note", "text": str(fault)})
         return True
 
     def frame(self, frame: "TactileFrame") -> None:
@@ -231,7 +149,7 @@ class Recorder:
         if counts.shape != (self._pads.n_taxels,):
             raise ValueError(f"frame of shape {counts.shape}, the pads have {self._pads.n_taxels}")
         values = {
-            "number": self._file.n_frames,
+            "number": self._n_frames,
             "counter": int(frame.counter),
             "status": int(frame.status),
             "counts": counts,
@@ -270,12 +188,12 @@ class Recorder:
         A grasp during which the recording stopped is in no file. Raises ValueError if its frames
         are not those given to `frame` before.
         """
-        first_frame = self._file.n_frames - grasp.n_frames
+        first_frame = self._n_frames - grasp.n_frames
         if self.fault is not None:
             return
         if first_frame < 0 or not np.array_equal(self._newest_counts, grasp.counts[-1]):
             raise ValueError(
-                f"{self._file.n_frames} frames are recorded, the grasp has {grasp.n_frames} others"
+                f"{self._n_frames} frames are recorded, the grasp has {grasp.n_frames} others"
             )
         names = ("label", "shape", "source", "start_ms", "n_frames", "aperture_m", "force_n")
         values = {name: getattr(grasp, name) for name in names} | {
@@ -286,24 +204,76 @@ class Recorder:
         self.now(schema.GRASP, values)
 
     def check(self) -> None:
-        """Check the file while nothing is recorded; call it now and then."""
-        self._file.check()
+        """Check whether the disk has failed since the last message; call it now and then."""
+        error = self._sink.error
+        if self.fault is None and error is not None:
+            fault = self._stopped(error.strerror or str(error))
+            fault.__cause__ = error
+            self._stop(fault)
 
     def close(self) -> None:
         """Finish the file. Raises RecordingError if the recording has stopped."""
         if self._closed:
             return
         self._closed = True
-        self._file.close()
-        if self._file.fault is not None:
-            raise self._file.fault
+        self._finish()
+        if self.fault is not None:
+            raise self.fault
 
     def _put(self, topic: str, t_s: float, values: Mapping[str, Any]) -> None:
+        """Add a message; does nothing after a fault.
+
+        On a nearly full disk the file ends with a NOTE.
+        """
         if self._closed:
             raise RecordingError(f"{self.path} is closed; nothing more can be recorded")
-        self._file.add(topic, t_s, values)
+        if self.fault is not None:
+            return
+        self._writer.add(topic, t_s, schema.to_json({"t_s": t_s, **values}))
+        self._n_frames += topic == schema.FRAME
+        if self._sink.nearly_full and self._sink.error is None:
+            fault = self._stopped("the disk is nearly full")
+            note = {"t_s": t_s, "kind": "note", "text": str(fault)}
+            self._writer.add(schema.EVENT, t_s, schema.to_json(note))
+            self._writer.finish()
+            if self._sink.error is None:
+                self._stop(fault)
+        self.check()
 
-    def _new_file(self, path: Path) -> RecordingFile:
+    def _stopped(self, reason: str) -> RecordingError:
+        return RecordingError(
+            f"the recording {self.path} stopped after {self._n_frames} frames: {reason}; free "
+            "space or choose another disk: the next job records again"
+        )
+
+    def _stop(self, fault: RecordingError) -> None:
+        self.fault = fault
+        self._note(str(fault))
+        self._sink.end()
+
+    def _finish(self) -> None:
+        """Finish the file, as far as its disk allows; wait for the disk."""
+        if self.fault is None:
+            self._writer.finish()
+        self._sink.close()
+        self.check()
+
+    def _new_sink(self, path: Path) -> RecordingSink:
+        try:
+            return RecordingSink(path, background=self._background)
+        except FileExistsError as cause:
+            raise RecordingError(
+                f"{path} exists; recordings are never overwritten, choose another name"
+            ) from cause
+        except OSError as cause:
+            raise RecordingError(
+                f"cannot record to {path}: {cause.strerror}; check folder and rights"
+            ) from cause
+
+    def _start(self, sink: RecordingSink) -> None:
+        """Begin a file with its description."""
+        self._sink = sink
+        self.fault, self._n_frames = None, 0
         pads = self._pads
         places = {name: getattr(pads, name) for name in ("pad_shape", "taxel_pad", "adc_max")}
         described = {
@@ -312,8 +282,8 @@ class Recorder:
             "monotonic_start_ns": str(schema.to_ns(self._clock.monotonic())),
             "pads": schema.to_json(places | {"taxel_xy_m": pads.taxel_xy_m}).decode(),
         }
-        entries = self._metadata | described
-        return RecordingFile(path, entries, background=self._background, note=self._note)
+        self._writer = MessageWriter(sink, self._metadata | described)
+        self.check()
 
     def _free_path(self) -> Path:
         first = self._first_path

@@ -57,6 +57,7 @@ class RecordingSink:
 
     def __init__(self, path: Path, *, background: bool) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+        self.path = path
         self._handle = os.open(path, flags, 0o666)
         with suppress(OSError):  # a file system without locks; the lock ends with the program
             # `in_use` of another program may hold the lock for a moment.

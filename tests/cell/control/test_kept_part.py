@@ -110,9 +110,9 @@ def test_a_lost_recording_that_is_a_fault_of_grasps_does_not_keep_a_part(
     bench = make_bench(quick_config(recording__when_lost="hold"), folder=tmp_path).ready()
     identify(bench, Scripted(SURE), Keep.ALWAYS)
     recorder: Any = bench.cell._recorder
-    recorder._file.fault = RecordingError("No space left")
+    recorder.fault = RecordingError("No space left")
     bench.controller.release()
-    recorder._file.fault = None
+    recorder.fault = None
     assert (bench.life.state, bench.grip_n) == (CellState.IDLE, 0.0)
 
 

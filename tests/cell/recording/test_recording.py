@@ -281,7 +281,7 @@ def fill_disk_after(
 def ended(recorder: Recorder) -> None:
     """Wait until a recording has stopped, and its thread has ended."""
     until(lambda: recorder.check() or recorder.fault)
-    thread = recorder._file.sink._thread
+    thread = recorder._sink._thread
     thread.join(10.0)
     assert not thread.is_alive()
 
@@ -298,7 +298,7 @@ def test_a_full_disk_leaves_what_was_whole_before(room, background, tmp_path, mo
     assert recorder.fault is caught.value
     assert notes == [str(caught.value)]
     recorder.close()
-    assert path.stat().st_size == recorder._file.sink._length  # no half record
+    assert path.stat().st_size == recorder._sink._length  # no half record
     if room <= 100:
         with pytest.raises(RecordingError, match=r"has no description|not an MCAP file"):
             read_recording(path)
@@ -381,7 +381,7 @@ def test_a_long_recording_continues_in_a_new_file_and_loses_nothing(
 
 def until_written(recorder: Recorder) -> None:
     """Wait until the disk has taken what was recorded."""
-    until(lambda: not recorder._file.sink.busy)
+    until(lambda: not recorder._sink.busy)
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import re
 import shutil
 import sys
 from collections import defaultdict
+from copy import copy
 from dataclasses import replace
 from typing import Any
 from xml.etree import ElementTree
@@ -334,8 +335,14 @@ def test_many_shapes_are_counted_but_not_all_drawn() -> None:
 # -- The report of a recording: whole, old, cut or spoiled -----------------------------------------
 
 
+def changed(recording: Recording, **values: Any) -> Recording:
+    other = copy(recording)
+    vars(other).update(values)
+    return other
+
+
 def with_config(recording: Recording, text: str) -> Recording:
-    return replace(recording, metadata=recording.metadata | {"config": text})
+    return changed(recording, metadata=recording.metadata | {"config": text})
 
 
 def captions(page: Page) -> list[str]:
@@ -388,14 +395,14 @@ def test_a_page_says_what_the_recording_has_beside_the_answers(recording, monkey
     monkeypatch.setattr(recorded, "paper_table", lambda: ours)
     early = tuple(row | {"n_ended_early": 1} for row in recording.results)
     fault = {"t_s": 1.0, "kind": "fault", "text": "a cable is loose"}
-    page = recorded_report(replace(recording, results=early, events=(fault,)))
+    page = recorded_report(changed(recording, results=early, events=(fault,)))
     assert "right by the paper's method" not in captions(page)  # it needs whole ramps
     assert page.sections["result"]["tables"][0].name == "Paper"  # of the same objects
     assert "a cable is loose" in page.sections["notes"]["notes"]
     assert ".plot, .chip, .stack i { filter: invert(1)" in render_report(page)
     config = json.loads(recording.metadata["config"])
     config["sequence"]["regrasp"] = "none"
-    again = replace(recording, results=(recording.results[-1] | {"n_grasps": 9},))
+    again = changed(recording, results=(recording.results[-1] | {"n_grasps": 9},))
     free, held = (
         [one.grasps for one in answers_of(again, recorded_config(text))]
         for text in (recording.metadata["config"], json.dumps(config))
@@ -409,7 +416,7 @@ def test_a_recording_without_optional_values_shows_the_others(recording, report)
     def without(rows: Any, *names: str) -> Any:
         return tuple({k: v for k, v in row.items() if k not in names} for row in rows)
 
-    few = replace(
+    few = changed(
         recording,
         results=without(recording.results, "held", "grasp_answers"),
         statistics=without(recording.statistics, "tactile", "servo_bus"),
@@ -455,4 +462,4 @@ def test_a_recording_that_was_cut_says_so_and_an_empty_one_is_refused(recording,
 )
 def test_values_that_no_cell_has_are_refused(recording, spoil) -> None:
     with pytest.raises(RecordingError, match="a message has impossible values"):
-        recorded_report(replace(recording, **spoil))
+        recorded_report(changed(recording, **spoil))
