@@ -63,19 +63,15 @@ class Commissioning:
         """Return the differences of a control unit and its pads."""
         unit, pads = self.values.get("unit", {}), self.values.get("pads_at_rest", {})
         serial, revision = unit.get("serial_number", now.serial), unit.get("revision", now.revision)
-        firmware = "firmware of the control unit"
-        changes = self._change("control unit", "unit", serial, now.serial, "serial {}")
-        changes = changes or self._change(
-            firmware, "unit", revision, now.revision, "revision {:#x}"
+        changes = self._change("control unit", "unit", serial, now.serial, "serial {}") or (
+            self._change("firmware of the unit", "unit", revision, now.revision, "revision {:#x}")
         )
-        was = tuple(pads.get("board_serial_numbers", now.boards))
-        if was == now.boards[::-1] != now.boards:
-            both = f"serial {was[0]} on finger 0, {was[1]} on finger 1"
-            return changes + self._change("pads", "pads_at_rest", both, "exchanged")
-        for finger, (before, number) in enumerate(zip(was, now.boards, strict=True)):
-            what = f"pads of finger {finger}"
-            changes += self._change(what, "pads_at_rest", before, number, "serial {}")
-        return changes
+        was, text = (
+            pads.get("board_serial_numbers", now.boards),
+            "serial {0[0]} on finger 0, {0[1]}",
+        )
+        boards = self._change("pads", "pads_at_rest", tuple(was), now.boards, f"{text} on finger 1")
+        return changes + boards
 
     def changed_servos(self, servos: Mapping[int, tuple[str, int]]) -> list[Finding]:
         """Return the differences of servos; ``servos`` are model and firmware by ID."""

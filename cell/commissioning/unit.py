@@ -4,9 +4,8 @@ import json
 import subprocess
 import time
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from functools import partial
-from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
@@ -48,8 +47,6 @@ TRIED_BIT_RATES: tuple[int, ...] = tuple(
 """Bit rates that are tried, in bit/s: those of the config, the fastest first."""
 _LISTEN_S = 0.5
 """Time in s of listening at each bit rate: five heartbeats of a configured unit."""
-_CAN_INTERFACE = "280"
-"""Type of a CAN network interface in sysfs (ARPHRD_CAN of linux/if_arp.h)."""
 _PATIENCE_S = 0.5
 """Longest silence in s of a unit while a person presses its pads."""
 _RATE_FRAMES = 100
@@ -60,7 +57,8 @@ _FRAMES = 10
 """Frames that prove that the link runs."""
 
 
-def unit_sensor(bench: Bench, *, mounted: bool = True) -> AbstractContextManager[TactileSensor]:
+@contextmanager
+def unit_sensor(bench: Bench, *, mounted: bool = True) -> Iterator[TactileSensor]:
     """Start the sensor of the config so far, and close it at the end.
 
     A busy machine may be late, and force messages are not used, because nothing is held. Raises
@@ -74,12 +72,6 @@ def unit_sensor(bench: Bench, *, mounted: bool = True) -> AbstractContextManager
     tactile = bench.tactile() if mounted else bench.tactile(mounting=[])
     forces = {"force_period_ms": 0} if tactile.sensor.canopen else {}
     tactile = changed_config(tactile, {"silence_ms": 1e3 * _PATIENCE_S} | forces)
-    return _started(bench, tactile)
-
-
-@contextmanager
-def _started(bench: Bench, tactile: TactileConfig) -> Iterator[TactileSensor]:
-    """Start the sensor of a config, and close it at the end."""
     with ExitStack() as undo:
         place = (tactile.interface, tactile.channel, tactile.bitrate)
         lines = SensorLines(
@@ -163,15 +155,14 @@ def _find_boards(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         notes.settings["tactile.sensor"] = tactile.sensor.model_dump() | {"ports": names}
         if any("/by-path/" in name for name in names):
             notes.fact("Boards without serial numbers are named by their USB sockets: leave them.")
-    tactile = bench.tactile()
-    with _started(bench, tactile) as boards:
+    with unit_sensor(bench) as boards:
         began_s = boards.read().t_s
         for _ in range(_RATE_FRAMES):
             ended_s = boards.read().t_s
         torn = boards.source.statistics.frames.torn
     rate_hz = _RATE_FRAMES / (ended_s - began_s)
     notes.fact(f"Both boards send whole frames, {rate_hz:.0f} a second; {torn} were torn.")
-    least_hz = _LEAST_RATE / tactile.frame_period_s
+    least_hz = _LEAST_RATE / bench.tactile().frame_period_s
     if rate_hz < least_hz:
         notes.warn(
             f"{rate_hz:.0f} frames a second are few, {least_hz:.0f} are usual: plug each board "
@@ -188,7 +179,7 @@ def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str]:
     if interface != SIMULATED:
         return interface, channel
     servos = str(bench.given.get("gripper.port", bench.gripper().port))
-    places = [("socketcan", name) for name in _network_interfaces()]
+    places = [("socketcan", name) for name in _system_bit_rates()]
     places += [("slcan", lasting_name(port)) for port in bench.ports_beside(servos)]
     if not places:
         raise StepFailed(
@@ -208,34 +199,26 @@ def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str]:
     return by_key[answer]
 
 
-def _network_interfaces() -> list[str]:
-    """Return the names of the system's CAN interfaces."""
-    names = []
-    for path in sorted(Path("/sys/class/net").glob("*/type")):
-        with suppress(OSError):
-            if path.read_text("ascii").strip() == _CAN_INTERFACE:
-                names.append(path.parent.name)
-    return names
+def _system_bit_rates() -> dict[str, int | None]:
+    """Return the bit rate in bit/s of the system's CAN interfaces by name; None where none is set.
 
-
-def _system_bit_rate(interface: str, channel: str) -> int | None:
-    """Return the bit rate in bit/s that the system has set; None if the adapter can set it."""
-    if interface != "socketcan":
-        return None
-    command = ["ip", "-details", "-json", "link", "show", channel]
+    Empty without the program ``ip``.
+    """
+    command = ["ip", "-details", "-json", "link", "show"]
     try:
-        link = subprocess.run(command, capture_output=True, text=True, check=True, timeout=2.0)
-        info = json.loads(link.stdout)[0]["linkinfo"]["info_data"]
-        return int(info["bittiming"]["bitrate"])
-    except (OSError, subprocess.SubprocessError, ValueError, LookupError, TypeError):
-        return None
+        shown = subprocess.run(command, capture_output=True, text=True, check=True, timeout=2.0)
+        links = [link for link in json.loads(shown.stdout) if link.get("link_type") == "can"]
+        infos = {link["ifname"]: link.get("linkinfo", {}).get("info_data", {}) for link in links}
+        return {name: info.get("bittiming", {}).get("bitrate") for name, info in infos.items()}
+    except (OSError, subprocess.SubprocessError, ValueError, LookupError):
+        return {}
 
 
 def _bit_rate(
     bench: Bench, dialog: Dialog, interface: str, channel: str
 ) -> tuple[int, BusTraffic, str]:
     """Return the bit rate with traffic: found by listening first, then by requests."""
-    fixed = _system_bit_rate(interface, channel)
+    fixed = _system_bit_rates().get(channel) if interface == "socketcan" else None
     rates = TRIED_BIT_RATES if fixed is None else (fixed,)
     refused: dict[int, BusNotOpened] = {}
     errors = 0

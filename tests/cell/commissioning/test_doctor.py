@@ -81,8 +81,8 @@ SOUND = SourceIdentity(name="unit", serial=7, revision=0x10001, boards=(1, 2))
     [
         ({}, "", ""),
         ({"serial": 8}, "control unit", "unit"),
-        ({"revision": 2}, "firmware of the control unit", "unit"),
-        ({"boards": (1, 9)}, "pads of finger 1", "pads_at_rest"),
+        ({"revision": 2}, "firmware of the unit", "unit"),
+        ({"boards": (1, 9)}, "pads", "pads_at_rest"),
         ({"boards": (2, 1)}, "pads", "pads_at_rest"),
         ({1: ("XM430-W210", 46)}, "servo 1", "servos"),
     ],

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -189,7 +190,7 @@ def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(grasped) -> N
     stand, finding = grasped
     assert finding.status is Verdict.PASS, finding.lines
     most = next(q for q in stand.person.script.questions if q.key == "first_force.most")
-    assert 4.0 < most.default < most.number[1] <= largest_setpoint_n(15.0)
+    assert 4.0 < most.default < most.limits[1] <= largest_setpoint_n(15.0)
     (first, last) = finding.values["asked_held_peak_n"]
     assert first[:2] == pytest.approx([1.0, 1.0], abs=0.1)
     assert last == pytest.approx(3 * [most.default], rel=0.1)
@@ -419,3 +420,15 @@ def test_the_interface_is_asked_for_only_where_there_are_several(stand) -> None:
     finding = stand.run(UNIT)
     assert finding.status is Verdict.FAIL
     assert "No CAN interface was found" in finding.lines[0]
+
+
+def test_the_interfaces_of_the_system_have_the_bit_rate_that_is_set(stand, monkeypatch) -> None:
+    kind = {"info_kind": "can", "info_data": {"bittiming": {"bitrate": 500_000}}}
+    links = [{}, {"ifname": "lo", "link_type": "loopback"}]
+    links.append({"ifname": "can7", "link_type": "can", "linkinfo": kind})
+    shown = SimpleNamespace(stdout=json.dumps(links))
+    monkeypatch.setattr("cell.commissioning.unit.subprocess.run", lambda *_command, **_how: shown)
+    stand.bench.settings = {"gripper.port": "/dev/ttyUSB0"}
+    (why,) = stand.run(UNIT).lines
+    assert "No CAN traffic and no reply on can7 (socketcan) at 500,000 bit/s" in why
+    assert "set the rate of the unit with `ip link set can7`" in why
