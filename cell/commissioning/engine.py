@@ -40,24 +40,21 @@ class WizardAborted(CellError):
     """The person left the wizard, or refused a write; earlier findings are kept."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Question:
-    """Question to a person: choices, a number, or a free text without either."""
-
-    key: str
-    """Name of the question, the same in every run: ``step.subject``."""
-    text: str
-    choices: Mapping[str, str] | None = None
-    """Text of each choice by the key that `Dialog.ask` returns; a picture may follow in further
-    lines."""
-    number: tuple[float, float, str] | None = None
-    """Smallest and largest accepted value, and their unit."""
-    default: str | float | None = None
-    """Answer on a plain confirmation, or None."""
+Answers = Mapping[str, str]
+"""Text of each answer, by its key; a picture may follow in further lines."""
+Limits = tuple[float, float, str]
+"""Least and largest number that is accepted, and its unit."""
+Watch = Callable[[], str] | None
+"""Text that is shown until the answer: called about ten times a second in the caller's thread. Its
+errors end the question."""
 
 
 class Dialog(Protocol):
-    """User interface of the wizard: terminal or script. Calls may raise `WizardAborted`."""
+    """User interface of the wizard: terminal or script. Calls may raise `WizardAborted`.
+
+    The key of a question is the same in every run: ``step.subject``. ``default`` is the answer on a
+    plain confirmation.
+    """
 
     def start_step(self, step: "Step", number: int, count: int) -> None:
         """Show the step that begins: its title and purpose, as ``number`` of ``count``."""
@@ -71,45 +68,31 @@ class Dialog(Protocol):
     def live(self, name: str, value_text: str) -> None:
         """Show a value instead of its previous one, while a person moves something."""
 
-    def ask(self, question: Question, *, watch: Callable[[], str] | None = None) -> str | float:
-        """Return the key of the chosen choice, the number, or the text typed.
-
-        Before the answer ``watch`` is called about ten times a second in the caller's thread, and
-        its text shown as by `live`; its errors end the question.
-        """
-
-    def approve(self, writes: Sequence[ProposedChange]) -> None:
-        """Show changes and motions before they are done; raises `WizardAborted` on refusal."""
-
     def choose(
-        self,
-        key: str,
-        text: str,
-        answers: Mapping[str, str],
-        default: str | None = None,
-        watch: Callable[[], str] | None = None,
+        self, key: str, text: str, answers: Answers, default: str | None = None, watch: Watch = None
     ) -> str:
-        """Ask for one of some answers, texts by key; return its key."""
-        question = Question(key=key, text=text, choices=answers, default=default)
-        return str(self.ask(question, watch=watch))
+        """Ask for one of some answers; return its key."""
 
     def number(
-        self,
-        key: str,
-        text: str,
-        number: tuple[float, float, str],
-        default: float | None = None,
-        watch: Callable[[], str] | None = None,
+        self, key: str, text: str, limits: Limits, default: float | None = None, watch: Watch = None
     ) -> float:
-        """Ask for a number from the least to the largest value, in a unit; return it."""
-        question = Question(key=key, text=text, number=number, default=default)
-        return float(self.ask(question, watch=watch))
+        """Ask for a number within limits; return it."""
 
-    def confirm(
-        self, key: str, text: str, done: str = "done", watch: Callable[[], str] | None = None
-    ) -> None:
+    def confirm(self, key: str, text: str, done: str = "done", watch: Watch = None) -> None:
         """Ask for an action by hand, and wait for it."""
         self.choose(key, text, {"done": done}, "done", watch)
+
+    def ask_consent(self, writes: Sequence[ProposedChange]) -> None:
+        """Show changes and motions before they are done; raises `WizardAborted` on refusal."""
+
+    def log(self, writes: Sequence[ProposedChange]) -> None:
+        """Keep approved writes; the engine replaces it."""
+        return
+
+    def approve(self, writes: Sequence[ProposedChange]) -> None:
+        """Ask for consent as `ask_consent`, then log the writes."""
+        self.ask_consent(writes)
+        self.log(writes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,21 +139,6 @@ def carry_out(step: Step, bench: Bench, dialog: Dialog) -> Notes:
         notes.settings.clear()
     notes.ended = _now()
     return notes
-
-
-class _Logged:
-    """A dialog that logs approved writes; implements `Dialog`."""
-
-    def __init__(self, dialog: Dialog, log: Callable[[Sequence[ProposedChange]], None]) -> None:
-        self.start_step, self.show, self.say = dialog.start_step, dialog.show, dialog.say
-        self.live, self.ask = dialog.live, dialog.ask
-        self.choose, self.confirm, self.number = dialog.choose, dialog.confirm, dialog.number
-        self._approve, self._log = dialog.approve, log
-
-    def approve(self, writes: Sequence[ProposedChange]) -> None:
-        """Log the writes after their approval."""
-        self._approve(writes)
-        self._log(writes)
 
 
 class Engine:
@@ -277,7 +245,8 @@ class Engine:
             self.approved += [replace(write, step=step.key, at=at) for write in writes]
             self._store()
 
-        notes = carry_out(step, self.bench, _Logged(dialog, log))
+        dialog.log = log  # type: ignore[method-assign]
+        notes = carry_out(step, self.bench, dialog)
         self.notes[step.key] = notes
         self._store()
         dialog.show(step, notes)

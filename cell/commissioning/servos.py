@@ -213,7 +213,7 @@ def _demand_answers(bench: Bench, dialog: Dialog, port: str, scan: Scan) -> None
             if level != ANSWERS_ALL:
                 change = {STATUS_RETURN_LEVEL.name: (level, ANSWERS_ALL)}
                 undo = "nothing to undo: it is 2 after each power-on"
-                dialog.approve(register_writes(f"servo {servo_id}", change, undo))
+                dialog.approve(register_writes({servo_id: change}, undo))
                 bus.demand_answers((servo_id,))
 
 
@@ -276,9 +276,8 @@ def _renumber(
         if new_id != old_id:
             changes[SERVO_ID.name] = (old_id, new_id)
         changes[BAUD_RATE.name] = (f"{servo.baud_rate} bit/s", f"{rate} bit/s")
-        where = f"servo {old_id} at {servo.baud_rate} bit/s"
         undo = "write the old values with the program of the servos' maker"
-        dialog.approve(register_writes(where, changes, undo))
+        dialog.approve(register_writes({old_id: changes}, undo, f" at {servo.baud_rate} bit/s"))
         keep(bench, dialog, new_id, table)
         if new_id != old_id:
             bus.write(old_id, SERVO_ID, new_id)
@@ -298,7 +297,7 @@ def torque_off(bus: ServoBus, dialog: Dialog, servo_id: int, torque: int) -> Non
         "without torque only. Take the part out, or hold it: otherwise it falls."
     )
     change = {TORQUE_ENABLE.name: ("on", "off")}
-    dialog.approve(register_writes(f"servo {servo_id}", change, "release or start the cell"))
+    dialog.approve(register_writes({servo_id: change}, "release or start the cell"))
     bus.write(servo_id, TORQUE_ENABLE, 0)
 
 
@@ -326,12 +325,7 @@ def _set_up(
         notes.fact(f"servo {servo_id}: {overload_text(table['shutdown'])}")
     if notes.failed:
         return
-    writes = [
-        write
-        for servo_id, values in changes.items()
-        for write in register_writes(f"servo {servo_id}", values, _UNDO)
-    ]
-    if not writes:
+    if not (writes := register_writes(changes, _UNDO)):
         notes.fact("all registers are as the cell needs them")
         return
     for servo_id, table in tables.items():
@@ -396,12 +390,16 @@ def check_supply(servo_id: int, model: ServoModel, table: Mapping[str, int], not
 
 
 def register_writes(
-    where: str, changes: Mapping[str, tuple[object, object]], undo: str
+    changes: Mapping[int, Mapping[str, tuple[object, object]]], undo: str, at: str = ""
 ) -> list[ProposedChange]:
-    """Return the writes of some items of a servo, given by name with present and new value."""
+    """Return the writes of some items of servos: present and new value by name and servo's ID."""
     return [
-        ProposedChange(where, f"{name} ({REGISTERS[name].address})", str(before), str(after), undo)
-        for name, (before, after) in changes.items()
+        ProposedChange(
+            *(f"servo {servo_id}{at}", f"{name} ({REGISTERS[name].address})"),
+            *(str(before), str(after), undo),
+        )
+        for servo_id, items in changes.items()
+        for name, (before, after) in items.items()
     ]
 
 
@@ -470,12 +468,7 @@ def restore(
         for servo_id, registers in backups.items():
             differing = _differing(bus, servo_id, registers)
             changes[servo_id] = {n: c for n, c in differing.items() if n not in _ADDRESS}
-        writes = [
-            write
-            for servo_id, items in changes.items()
-            for write in register_writes(f"servo {servo_id}", items, undo)
-        ]
-        if not writes:
+        if not (writes := register_writes(changes, undo)):
             return ("all servos are as they were found",)
         dialog.approve(writes)
         begin()

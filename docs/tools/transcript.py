@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Engine, Question
+from cell.commissioning.engine import Engine
 from cell.commissioning.walk import all_steps
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
@@ -56,11 +56,7 @@ class _Typing(TerminalDialog):
         """Print a text; the hands do it."""
         super().say(text)
         self._person.heard(text)
-
-    def ask(self, question: Question, *, watch: Callable[[], str] | None = None) -> str | float:
-        """Ask, and keep what is asked."""
-        self._asked = question.text
-        return super().ask(question, watch=watch)
+        self._asked = text
 
     def _typed(self, prompt: str, watch: Callable[[], str] | None = None) -> str:
         typed = "y" if prompt.startswith("Do this") else self._person.typed(self._asked)

@@ -3,10 +3,10 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from cell.commissioning.bench import LineOpener
-from cell.commissioning.engine import Dialog, Question, Step, WizardAborted
+from cell.commissioning.engine import Answers, Dialog, Limits, Step, Watch, WizardAborted
 from cell.commissioning.findings import Notes, ProposedChange
 from cell.simulation import open_can_bus, open_servo_port
 from gripper.dynamixel.serial_port import ByteStream
@@ -18,6 +18,17 @@ from tactile.can.bus import CanBus
 
 Reply = str | float | Callable[[], object]
 """An answer, or the hands of the person: called, and the default is answered where None comes."""
+
+
+class Question(NamedTuple):
+    """A question of the wizard, with its choices or the range of its number."""
+
+    key: str
+    text: str
+    choices: Answers | None
+    limits: Limits | None
+    default: str | float | None
+    watch: Watch
 
 
 @dataclass
@@ -57,7 +68,18 @@ class Script(Dialog):
         self.watched.append(f"{name} {value_text}")
         self.moment()
 
-    def ask(self, question: Question, *, watch: Callable[[], str] | None = None) -> str | float:
+    def choose(
+        self, key: str, text: str, answers: Answers, default: str | None = None, watch: Watch = None
+    ) -> str:
+        return str(self.ask(Question(key, text, answers, None, default, watch)))
+
+    def number(
+        self, key: str, text: str, limits: Limits, default: float | None = None, watch: Watch = None
+    ) -> float:
+        return float(self.ask(Question(key, text, None, limits, default, watch)))
+
+    def ask(self, question: Question) -> str | float:
+        watch = question.watch
         self.asked.append(question.key)
         assert self.asked.count(question.key) < 50, f"asked again and again: {question}"
         self.questions.append(question)
@@ -80,11 +102,11 @@ class Script(Dialog):
         assert answer is not None, f"no reply to {question}"
         if question.choices is not None:
             assert answer in question.choices, question
-        if question.number is not None:
-            assert question.number[0] <= float(answer) <= question.number[1], question
+        if question.limits is not None:
+            assert question.limits[0] <= float(answer) <= question.limits[1], question
         return answer
 
-    def approve(self, writes: Sequence[ProposedChange]) -> None:
+    def ask_consent(self, writes: Sequence[ProposedChange]) -> None:
         if "approve" in self.leave_at:
             self.leave_at.remove("approve")
             raise WizardAborted("refused")
@@ -202,7 +224,7 @@ class Person:
 
     def _answer(self, question: Question) -> str | float | None:
         typed = self.typed(question.text)
-        if question.number is not None and typed:
+        if question.limits is not None and typed:
             return float(typed)
         if question.choices is not None and typed:
             return [*question.choices][int(typed) - 1]

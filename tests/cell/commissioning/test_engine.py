@@ -16,7 +16,6 @@ from cell.commissioning.engine import (
     RECORD_NAME,
     Dialog,
     Engine,
-    Question,
     Step,
     WizardAborted,
 )
@@ -49,7 +48,7 @@ class Asking:
 
     def __call__(self, bench: Bench, dialog: Dialog, notes: Notes) -> None:
         self.seen.append(dict(bench.settings))
-        answer = dialog.ask(Question(key=f"{self.key}.q", text="?", default="yes"))
+        answer = dialog.choose(f"{self.key}.q", "?", {"yes": "yes"}, "yes")
         verdict = self.verdicts.pop(0) if len(self.verdicts) > 1 else self.verdicts[0]
         notes.findings.append(Finding(text=f"{self.key}: {answer}", verdict=verdict))
         notes.values["answer"] = answer

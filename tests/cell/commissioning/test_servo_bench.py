@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from cell.commissioning.bench import Bench, LineOpener
-from cell.commissioning.engine import Question, StepFailed, WizardAborted
+from cell.commissioning.engine import StepFailed, WizardAborted
 from cell.commissioning.servo_bench import STEPS, Rig, open_rig, run_bench
 from cell.config.gripper import measured_drive
 from cell.errors import ConfigError
@@ -22,7 +22,7 @@ from simulator.servo.device import SimulatedServo
 from simulator.servo.gearing import drawn_gearing
 from simulator.servo.mechanics import FingerMechanics, RackLinkage, ServoMount
 from simulator.servo.motor import ServoMotor, ServoNoise
-from tests.cell.commissioning.hands import Script
+from tests.cell.commissioning.hands import Question, Script
 
 ARM_M = 0.1
 G_PER_N = 1e3 / 9.80665

@@ -14,7 +14,7 @@ from unittest.mock import Mock
 import pytest
 from typer.testing import CliRunner
 
-from cell.commissioning.engine import Question, WizardAborted, leave
+from cell.commissioning.engine import WizardAborted, leave
 from cell.commissioning.findings import ProposedChange
 from cell.config.model import CellConfig
 from cell.control.positioner import PatientCaller
@@ -47,24 +47,16 @@ def typed(monkeypatch: pytest.MonkeyPatch) -> Callable[..., TerminalDialog]:
     ("lines", "answer"), [(["2"], "b"), (["b"], "b"), ([""], "a"), (["7", "x", "1"], "a")]
 )
 def test_choices_are_taken_by_number_name_or_enter(typed, lines, answer, capsys) -> None:
-    question = Question(key="q", text="Which?", choices=CHOICES, default="a")
-    assert typed(*lines).ask(question) == answer
+    assert typed(*lines).choose("q", "Which?", CHOICES, "a") == answer
     assert "  1  the first (Enter)\n  | |\n  2  the second" in capsys.readouterr().out
 
 
-MILLIMETRES = {"number": (1, 100, "mm")}
-
-
 @pytest.mark.parametrize(
-    ("lines", "kind", "answer"),
-    [
-        (["10,5"], MILLIMETRES, 10.5),
-        (["", "0", "nan", "ten", "99"], MILLIMETRES, 99.0),
-        (["", "FT 1"], {}, "FT 1"),
-    ],
+    ("lines", "default", "answer"),
+    [(["10,5"], None, 10.5), (["", "0", "nan", "ten", "99"], None, 99.0), ([""], 7.0, 7.0)],
 )
-def test_numbers_have_a_range_and_texts_are_taken_as_they_are(typed, lines, kind, answer) -> None:
-    assert typed(*lines).ask(Question(key="q", text="?", **kind)) == answer
+def test_a_number_has_a_range_and_may_have_a_default(typed, lines, default, answer) -> None:
+    assert typed(*lines).number("q", "?", (1, 100, "mm"), default) == answer
 
 
 def test_a_refused_restore_names_the_command_that_asks_again(tmp_path, monkeypatch) -> None:
@@ -85,7 +77,7 @@ def test_a_watched_value_does_not_hold_up_a_pipe(typed) -> None:
 @pytest.mark.parametrize("lines", [["q"], []])
 def test_q_and_the_end_of_input_leave(typed, lines) -> None:
     with pytest.raises(WizardAborted, match="run `tactile-cell commission` again"):
-        typed(*lines).ask(Question(key="q", text="?"))
+        typed(*lines).choose("q", "?", CHOICES)
 
 
 def test_writes_are_shown_and_refused_unless_yes_is_typed(typed, capsys) -> None:

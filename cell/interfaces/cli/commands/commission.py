@@ -2,14 +2,24 @@
 
 import select
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Dialog, Engine, Question, Step, WizardAborted, leave
+from cell.commissioning.engine import (
+    Answers,
+    Dialog,
+    Engine,
+    Limits,
+    Step,
+    Watch,
+    WizardAborted,
+    leave,
+)
 from cell.commissioning.findings import Notes, ProposedChange, Verdict
 from cell.commissioning.servo_bench import open_rig, run_bench
 from cell.commissioning.servos import restore as restore_servos
@@ -61,20 +71,39 @@ class TerminalDialog(Dialog):
             out.file.flush()
             self._running = True
 
-    def ask(self, question: Question, *, watch: Callable[[], str] | None = None) -> str | float:
+    def choose(
+        self, key: str, text: str, answers: Answers, default: str | None = None, watch: Watch = None
+    ) -> str:
         """Ask until the answer is valid; raises `WizardAborted` at q and at the end of input."""
-        self.say(question.text)
-        for number, (key, choice) in enumerate((question.choices or {}).items(), start=1):
-            text, _, picture = choice.partition("\n")
-            print_line(f"  {number}  {text}{' (Enter)' if key == question.default else ''}")
+        self.say(text)
+        keys = {"": default} | {answer: answer for answer in answers}
+        for number, (answer, choice) in enumerate(answers.items(), start=1):
+            line, _, picture = choice.partition("\n")
+            print_line(f"  {number}  {line}{' (Enter)' if answer == default else ''}")
             if picture:
                 print_line(picture)
-        while True:
-            answer = self._answer(question, self._line(question, watch))
-            if answer is not None:
-                return answer
+            keys[str(number)] = answer
+        while (chosen := keys.get(self._typed(f"{_LEAVE} leaves> ", watch))) is None:
+            print_line(f"type a number from 1 to {len(answers)}")
+        return chosen
 
-    def approve(self, writes: Sequence[ProposedChange]) -> None:
+    def number(
+        self, key: str, text: str, limits: Limits, default: float | None = None, watch: Watch = None
+    ) -> float:
+        """Ask as `choose`."""
+        self.say(text)
+        low, high, unit = limits
+        prompt = f"{_LEAVE} leaves in {unit}{'' if default is None else f' [{default}]'}> "
+        while True:
+            typed = self._typed(prompt, watch)
+            if not typed and default is not None:
+                return default
+            with suppress(ValueError):
+                if low <= (value := float(typed.replace(",", "."))) <= high:
+                    return value
+            print_line(f"type a number from {low:g} to {high:g} {unit}")
+
+    def ask_consent(self, writes: Sequence[ProposedChange]) -> None:
         """Print a batch of writes and ask once for approval."""
         self._end_line()
         for write in writes:
@@ -95,12 +124,7 @@ class TerminalDialog(Dialog):
             print_line(f"  {line}")
         print_line(f"commissioned: {', '.join(map(str, files))}")
 
-    def _line(self, question: Question, watch: Callable[[], str] | None) -> str:
-        unit = f" in {question.number[2]}" if question.number is not None else ""
-        default = "" if question.default is None or question.choices else f" [{question.default}]"
-        return self._typed(f"{_LEAVE} leaves{unit}{default}> ", watch)
-
-    def _typed(self, prompt: str, watch: Callable[[], str] | None = None) -> str:
+    def _typed(self, prompt: str, watch: Watch = None) -> str:
         """Return the typed line; the line above shows what ``watch`` returns."""
         live = watch is not None and out.is_terminal
         out.print(("\n" if live else "") + plain_text(prompt), end="", soft_wrap=True)
@@ -117,29 +141,6 @@ class TerminalDialog(Dialog):
         if typed == _LEAVE:
             leave("on request")
         return typed
-
-    def _answer(self, question: Question, typed: str) -> str | float | None:
-        """Return the typed answer; None, with a message, if it is not valid."""
-        if not typed and question.default is not None:
-            return question.default
-        if question.choices is not None:
-            keys = list(question.choices)
-            by_number = {str(number): key for number, key in enumerate(keys, start=1)}
-            answer = by_number.get(typed, typed if typed in keys else None)
-            if answer is None:
-                print_line(f"type a number from 1 to {len(keys)}")
-            return answer
-        if question.number is None:
-            return typed or None
-        low, high, unit = question.number
-        try:
-            value = float(typed.replace(",", "."))
-        except ValueError:
-            value = float("nan")
-        if low <= value <= high:
-            return value
-        print_line(f"type a number from {low:g} to {high:g} {unit}")
-        return None
 
     def _end_line(self) -> None:
         if self._running:
