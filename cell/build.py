@@ -27,7 +27,7 @@ from cell.control.positioner import (
     Supervise,
 )
 from cell.control.records import pad_array
-from cell.control.self_zero import kept_zeros
+from cell.control.self_zero import stored_zeros
 from cell.errors import CellStateError, ConfigError, RecordingError
 from cell.hand.client import HandProcess
 from cell.hand.connections import MISSING, HandConnections
@@ -243,7 +243,7 @@ def build_cell(
             positioner,
             clock=clock,
             recorder=recorder,
-            zeros=kept_zeros(config, kept_folder(config, folder), now_s=wall_s),
+            zeros=stored_zeros(config, state_folder(config, folder), now_s=wall_s),
         )
         retention = None
         if recorder is not None and folder is not None:
@@ -268,7 +268,7 @@ def build_cell(
         )
 
 
-def kept_folder(config: CellConfig, folder: Path | None) -> Path | None:
+def state_folder(config: CellConfig, folder: Path | None) -> Path | None:
     """Return the folder of self-zero and history: for a real cell that of its next program.
 
     A simulated cell saves them beside its recordings, or not at all without recordings.

@@ -29,7 +29,7 @@ SOURCES, STAGED = "_sources", "_staged"
 """Folders of the notes, and of staged files; readers of Parquet skip them."""
 MOST_PARTITIONS = 1 << 20
 """Most days of cells in one source; pyarrow stops at 1024 of its own accord."""
-_KEPT_DAYS = 32
+_CACHED_DAYS = 32
 """Days of cells whose keys are kept while grasps are added."""
 
 
@@ -72,7 +72,7 @@ class Archive:
                 self._fs.makedirs(f"{self._root}/{STAGED}", exist_ok=True)
                 self._fs.pipe_file(staged, json.dumps({"format": str(ARCHIVE)}).encode())
                 self._fs.mv(staged, head)
-        self._keys = lru_cache(_KEPT_DAYS)(self._keys_in)
+        self._keys = lru_cache(_CACHED_DAYS)(self._keys_in)
 
     # Reading
 

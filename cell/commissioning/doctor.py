@@ -21,7 +21,7 @@ from cell.commissioning.findings import (
 from cell.commissioning.ports import check_port
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration
-from cell.control.self_zero import drive_text, kept_zeros
+from cell.control.self_zero import drive_text, stored_zeros
 from cell.errors import CellError
 from cell.hand.connections import MISSING
 from cell.hand.interface import FORCE_FROM_FRAMES
@@ -110,7 +110,7 @@ def _self_zero(config: CellConfig, named: str) -> Finding:
         off = config.self_zero == "never"
         reason = "switched off" if off else "none: gripper.pads_meet is false"
         return check_result("self-zero", reason, ok=True)
-    zeros = kept_zeros(config, Path(config.recording.directory))
+    zeros = stored_zeros(config, Path(config.recording.directory))
     at = datetime.fromtimestamp(zeros.measured_s)
     if zeros.newest is None:
         none = f"none of today, the last is of {at.date()}" if zeros.measured_s else "not measured"
@@ -131,7 +131,7 @@ def _self_zero(config: CellConfig, named: str) -> Finding:
 
 def _drives(config: CellConfig, named: str) -> Finding:
     """Return the measured characteristics of the servos' drives, beside the catalogue."""
-    zeros = kept_zeros(config, Path(config.recording.directory), new_hand=False)
+    zeros = stored_zeros(config, Path(config.recording.directory), new_hand=False)
     texts, drives, advice = list[str](), list[DriveCharacteristic](), ""
     for servo in config.gripper_settings.servos:
         if servo.servo_id not in zeros.drives:

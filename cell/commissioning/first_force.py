@@ -18,7 +18,7 @@ from cell.commissioning.findings import Notes, ProposedChange
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.config.sequence import ramp_from_config
-from cell.control.self_zero import drive_text, homing_offsets, kept_zeros, part_between
+from cell.control.self_zero import drive_text, homing_offsets, part_between, stored_zeros
 from cell.hand.client import HandProcess
 from cell.hand.interface import Hand
 from cell.hand.local import open_hand
@@ -256,7 +256,7 @@ class _Trial:
         """Keep what the motions have measured of the servos' drives."""
         config, notes = self.config, self.notes
         folder = None if config.simulated else self.bench.folder / config.recording.directory
-        zeros = kept_zeros(config, folder)
+        zeros = stored_zeros(config, folder)
         drives, remarks = self.hand.read_drives()
         if "factor" in self.bench.values.get("pads_law", {}):  # weights have confirmed the pads
             drives = {servo_id: weighed(drive) for servo_id, drive in drives.items()}

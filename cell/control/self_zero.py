@@ -54,7 +54,7 @@ def zero_file(directory: Path, cell_name: str) -> Path:
     return directory / f"self-zero-{name_in_file(cell_name)}.json"
 
 
-def kept_zeros(
+def stored_zeros(
     config: CellConfig,
     directory: Path | None,
     *,
@@ -207,7 +207,7 @@ class SelfZeros:
         if measured and not self.refused:
             self._write()
 
-    def kept_drives(self, homing: Mapping[int, int]) -> dict[int, DriveCharacteristic]:
+    def stored_drives(self, homing: Mapping[int, int]) -> dict[int, DriveCharacteristic]:
         """Return the saved drive characteristics of the present servos, as of another day."""
         drives = {}
         for servo_id, saved in self.drives.items():

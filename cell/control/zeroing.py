@@ -64,7 +64,7 @@ class Zeroing:
     @property
     def drives(self) -> dict[int, DriveCharacteristic]:
         """Newest measured drive characteristic of each servo that is there, by its ID."""
-        return self.zeros.kept_drives(self.homing)
+        return self.zeros.stored_drives(self.homing)
 
     def open(self) -> None:
         """Open the fingers; take the zero of a drifting sensor before each approach."""

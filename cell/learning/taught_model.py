@@ -335,7 +335,7 @@ class TaughtModel:
                 self._written = (grasps, dataset)
             training_set = _training_section(*self._written)
         if followed and isinstance(recognizer, DriftFollowing):
-            recognizer = recognizer.with_grid(recognizer.grid.with_unnamed_kept())
+            recognizer = recognizer.with_grid(recognizer.grid.with_unnamed_as_gauge())
         trained = replace(trained, recognizer=recognizer, training_set=training_set)
         save_model(path, trained, self._pads)
 

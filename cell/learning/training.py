@@ -112,7 +112,7 @@ def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> DriftFollowing:
     check_pads(model, grasps[0].pads)
     for grasp in sorted(grasps, key=lambda g: g.start_ms):
         recognizer = recognizer.follow(grasp)
-    return recognizer.with_grid(recognizer.grid.with_unnamed_kept())
+    return recognizer.with_grid(recognizer.grid.with_unnamed_as_gauge())
 
 
 @one_blas_thread()

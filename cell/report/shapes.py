@@ -14,7 +14,7 @@ from recognition.shape.answer import ShapeAnswer
 MAX_BARS = 30
 """Most bars of one object, and most listed unknown objects; all are counted."""
 
-Felt = tuple[str, str, ShapeAnswer | None]
+ShapeRow = tuple[str, str, ShapeAnswer | None]
 """True name (empty if not known), the answer, and its shape."""
 
 _TICKS = 6
@@ -22,7 +22,7 @@ _TICKS = 6
 
 
 def shapes_view(
-    rows: Sequence[Felt], true_sizes: Mapping[str, str] = MappingProxyType({})
+    rows: Sequence[ShapeRow], true_sizes: Mapping[str, str] = MappingProxyType({})
 ) -> dict[str, Any] | None:
     """Return a group for each object, the scale, and the unknown objects; None without shapes.
 

@@ -529,7 +529,7 @@ class TactileCellPlugin:
         return self._worker.job(number)
 
     def jobs(self) -> tuple[Job, ...]:
-        """Return the newest jobs, at most `KEPT_JOBS`, oldest first."""
+        """Return the newest jobs, at most `MOST_JOBS`, oldest first."""
         return self._worker.jobs()
 
     def result(self, job: Job, timeout_s: float) -> Any:

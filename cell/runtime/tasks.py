@@ -36,7 +36,7 @@ from recognition.statistics.fusion import fuse
 
 MISSES_IN_A_ROW = 3
 """Grasps in a row without a part after which a known object counts as absent."""
-_SHOWN_GRASPS = 100
+_LISTED_GRASPS = 100
 """Number of newest grasps in the progress of a teaching."""
 
 
@@ -223,7 +223,7 @@ class Tasks:
         """Grasp a known object, report each grasp, and return the last report."""
         values: dict[str, Any] = {"task": goal.task, "label": goal.label, "of": goal.grasps}
         values |= {"grasps": 0, "missed": 0, "each": []}
-        each: deque[dict[str, Any]] = deque(maxlen=_SHOWN_GRASPS)
+        each: deque[dict[str, Any]] = deque(maxlen=_LISTED_GRASPS)
 
         def progress(now: Collection) -> None:
             if getattr(goal, "train", False) and len(now.records) > values["grasps"]:

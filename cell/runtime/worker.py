@@ -19,7 +19,7 @@ from cell.control.part import Part, Verification
 from cell.errors import CellError, CellStateError, CellStopped, RequestRefused
 from cell.fault_catalogue import error_text, fault_number
 
-KEPT_JOBS = 100
+MOST_JOBS = 100
 """Newest jobs that are kept, so that the memory of a resident program stays bounded."""
 SIGNAL_LOOK_S = 0.02
 """Longest time in s that a waiting main thread leaves a signal unanswered.
@@ -205,7 +205,7 @@ class CellWorker:
             )
             self._newest, self.looked_s = job.number, time.monotonic()
             self._jobs[job.number] = job
-            if len(self._jobs) > KEPT_JOBS:
+            if len(self._jobs) > MOST_JOBS:
                 del self._jobs[next(number for number in self._jobs if number != self._named)]
             # Within the lock: accepted jobs come before the end of the queue.
             self._queue.put(functools.partial(self._execute, job.number, work, on_change))
@@ -222,7 +222,7 @@ class CellWorker:
                 )
 
     def jobs(self) -> tuple[Job, ...]:
-        """Return the newest jobs, at most `KEPT_JOBS`, oldest first."""
+        """Return the newest jobs, at most `MOST_JOBS`, oldest first."""
         with self._changed:
             return tuple(self._jobs.values())
 

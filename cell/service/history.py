@@ -1,7 +1,7 @@
 """History of a cell: parts and faults in an SQLite table, kept after the program's end.
 
 A separate thread writes new rows each second, so a slow or full disk delays neither the force loop
-nor a client. Days are those of the local wall clock, and at most `KEPT_DAYS` are kept.
+nor a client. Days are those of the local wall clock, and at most `MOST_DAYS` are kept.
 """
 
 import sqlite3
@@ -24,7 +24,7 @@ from recognition.recognizer import UNKNOWN
 
 VERSION = 2
 """Version of the table, ``user_version`` of the file."""
-KEPT_DAYS = 400
+MOST_DAYS = 400
 """Most days; the rows of the oldest are deleted."""
 COLUMNS = {
     "day": "TEXT NOT NULL",
@@ -48,7 +48,7 @@ _TABLE = f"""
     CREATE TABLE IF NOT EXISTS events ({", ".join(map(" ".join, COLUMNS.items()))});
     CREATE INDEX IF NOT EXISTS by_day ON events (day);
     PRAGMA user_version = {VERSION}"""
-_FIRST_KEPT = """
+_OLDEST_DAY = """
     DELETE FROM events WHERE day < (
         SELECT MIN(day) FROM (SELECT DISTINCT day FROM events ORDER BY day DESC LIMIT ?)
     )"""
@@ -264,7 +264,7 @@ class History:
                 names, places = ", ".join(row), ", ".join("?" * len(row))
                 link.execute(f"INSERT INTO events ({names}) VALUES ({places})", [*row.values()])
             if not self._written.issuperset(row["day"] for row in rows):
-                link.execute(_FIRST_KEPT, (KEPT_DAYS,))
+                link.execute(_OLDEST_DAY, (MOST_DAYS,))
         self._written.update(row["day"] for row in rows)
         for _ in rows:
             self._waiting.popleft()

@@ -19,7 +19,7 @@ from typing import Any
 
 from pydantic_core import to_jsonable_python
 
-from cell.build import kept_folder
+from cell.build import state_folder
 from cell.config.model import CellConfig
 from cell.control.identification import Identification
 from cell.control.part import Part
@@ -56,7 +56,7 @@ _POSE_GONE_S = 0.05
 _COMMANDS = (Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN)
 """Commands of clients."""
 
-_SHOWN = ("job", "commander", "held_by", "held_part", "pose_seq", "pose")
+_STATUS_VALUES = ("job", "commander", "held_by", "held_part", "pose_seq", "pose")
 """Values of a `Snapshot` that the state has as they are."""
 
 plain_data = partial(to_jsonable_python, inf_nan_mode="null")
@@ -608,7 +608,7 @@ def open_service(
         wall_s=wall_s,
         **cell,
     )
-    folder = kept_folder(config, cell.get("folder"))
+    folder = state_folder(config, cell.get("folder"))
     return Service(
         plugin,
         config,
@@ -630,7 +630,7 @@ def state_values(service: Service) -> dict[str, Any]:
             "status": {one.name: getattr(now.status, one.name) for one in fields(CellStatus)},
             "last_answer": now.status.last_answer,
             "live": {name: getattr(live, name) for name in live.__slots__ if name != "counts"},
-            **{name: getattr(now, name) for name in _SHOWN},
+            **{name: getattr(now, name) for name in _STATUS_VALUES},
             "allowed": {
                 task: None if error is None else Refusal.of(error)
                 for task, error in service.allowed().items()

@@ -14,9 +14,9 @@ from cell.control.part import Part
 from cell.errors import RequestRefused
 from recognition.recognizer import UNKNOWN
 
-KEPT_ANSWERS = 20
+MOST_ANSWERS = 20
 """Number of newest answers that are kept, each with its last grasp."""
-_KEPT_CYCLES = 1000
+_MOST_CYCLES = 1000
 """Number of newest parts whose cycle times are kept."""
 _HOUR_S = 3600.0
 """Time in s before now in which recent parts are counted."""
@@ -46,7 +46,7 @@ class Shift:
         self._started_s = wall_clock()
         self._times_s = deque[float]()
         self.parts: tuple[Part, ...] = ()
-        """The newest parts, at most `KEPT_ANSWERS`, oldest first; replaced with each part."""
+        """The newest parts, at most `MOST_ANSWERS`, oldest first; replaced with each part."""
         self._curves: dict[int, Mapping[str, Any] | None] = {}
         self._begin(wall_clock(), 0)
 
@@ -56,7 +56,7 @@ class Shift:
         self._since_s, self._faults_before = since_s, n_faults
         self._counts = Counter[str]()
         self._n_rejected = self._n_missed = 0
-        self._cycles_s = deque[float](maxlen=_KEPT_CYCLES)
+        self._cycles_s = deque[float](maxlen=_MOST_CYCLES)
 
     def _look(self, n_faults: int) -> None:
         """Begin a new shift when its hour has come."""
@@ -72,9 +72,9 @@ class Shift:
                 self._n_missed += 1
                 return
             self._count(part.label, part.rejected, part.seconds, part.time_s)
-            self.parts = (*self.parts, part)[-KEPT_ANSWERS:]
+            self.parts = (*self.parts, part)[-MOST_ANSWERS:]
             self._curves[part.number] = curves
-            if len(self._curves) > KEPT_ANSWERS:
+            if len(self._curves) > MOST_ANSWERS:
                 del self._curves[next(iter(self._curves))]
 
     def _count(self, label: str, rejected: bool, seconds: float, time_s: float) -> None:
@@ -128,7 +128,7 @@ class Shift:
                 return part
         newest = self.parts[-1].number if self.parts else 0
         raise RequestRefused(
-            f"part {number} is not kept; the newest is {newest}, and {KEPT_ANSWERS} are kept"
+            f"part {number} is not kept; the newest is {newest}, and {MOST_ANSWERS} are kept"
         )
 
     def curves(self, number: int) -> Mapping[str, Any] | None:

@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from cell.fault_catalogue import APART, AXES_STOP, CATALOGUE, KEPT, UNMOVED
+from cell.fault_catalogue import APART, AXES_STOP, CATALOGUE, HELD, UNMOVED
 
 _CHAPTERS = {
     1: "Servos and servo line",
@@ -15,7 +15,7 @@ _CHAPTERS = {
 }
 """Heading of each hundred."""
 
-_GRIPS = {KEPT: "kept", UNMOVED: "unmoved", AXES_STOP: "axes stop", APART: "unaffected"}
+_GRIPS = {HELD: "kept", UNMOVED: "unmoved", AXES_STOP: "axes stop", APART: "unaffected"}
 """Short words for what most faults do to the grip."""
 
 

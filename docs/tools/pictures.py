@@ -27,7 +27,7 @@ TUTORIAL = DOCS / "tutorials" / "simulated-cell.md"
 CUTS = {
     "confusion": "#result .tables",
     "grasp": "#examples .example:first-of-type",
-    "shape": "#shapes .felt",
+    "shape": "#shapes .shape-rows",
 }
 """What each picture shows of the report, as a CSS selector."""
 _BROWSER = "chromium"

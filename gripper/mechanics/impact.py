@@ -21,7 +21,7 @@ from gripper.mechanics.kinematics import Linkage, Transmission, motion_currents_
 from gripper.settings import GripperSettings
 from gripper.values.state import STANDING_M_S
 
-_KEPT_FREE_SHARE = 0.1
+_RESERVE_SHARE = 0.1
 """Share of the cap that is left free: inertia, torque and foam differ from their nominal values.
 [chosen]"""
 _FINGER_KG_M2 = 2e-4
@@ -122,7 +122,7 @@ def impact_limit(
 
 def most_peak_n(settings: GripperSettings) -> float:
     """Return the force in N that a peak may reach."""
-    return (1.0 - _KEPT_FREE_SHARE) * settings.force_max_n
+    return (1.0 - _RESERVE_SHARE) * settings.force_max_n
 
 
 def closing_current_max_a(
@@ -212,7 +212,7 @@ def check_approach(settings: GripperSettings, linkage: Linkage) -> float:
     allowed_m_s = 2.0 * limit.pad_speed_m_s()
     if allowed_m_s < SLOWEST_M_S:
         least_n = (limit.drive_n + 0.5 * SLOWEST_M_S * limit.momentum_n_s_m) / (
-            1.0 - _KEPT_FREE_SHARE
+            1.0 - _RESERVE_SHARE
         )
         raise LimitExceeded(
             f"force_max_n is {settings.force_max_n:g} N: fingers that have just overcome their "

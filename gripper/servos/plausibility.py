@@ -31,7 +31,7 @@ _CURRENT_RESERVE = 1.5
 _CURRENT_MORE_A = 0.3
 """Current in A added to the multiple of the cap: at a low cap the regulation overshoots by more."""
 
-_KEPT = (
+_GRIP_STAYS = (
     "The goals are frozen and the grip kept. Look at the part, check encoder, horn and linkage, "
     "then clear the fault and release"
 )
@@ -224,7 +224,7 @@ class FeedbackCheck:
                 raise PositionContradicted(
                     f"servo {servo.servo_id}: the travels by its encoder and by voltage and "
                     f"current of its motor differ by {apart_rad:.3f} rad, at most {_UNSEEN_RAD} "
-                    f"rad are possible: one of them is stuck or drifts. {_KEPT}"
+                    f"rad are possible: one of them is stuck or drifts. {_GRIP_STAYS}"
                 )
 
     def _check_turn(self, servo: ServoState) -> None:
@@ -259,7 +259,7 @@ class FeedbackCheck:
         if loaded:
             raise PositionContradicted(
                 f"servo {servo.servo_id}: {stands}, {can}, but the pads are loaded: something "
-                f"pushes it, or its encoder drifts. {_KEPT}"
+                f"pushes it, or its encoder drifts. {_GRIP_STAYS}"
             )
         self.strayed[servo.servo_id] = stands
         raise FeedbackImplausible(f"servo {servo.servo_id}: {stands}, {can}: {_ADVICE}")

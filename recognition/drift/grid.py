@@ -28,7 +28,7 @@ _REACH = (8 / 3, 3.0)
 """Range of the hypotheses on each side in standard deviations: of gain, of opening."""
 _POWER = 0.2
 """Power of the likelihood of an unnamed grasp."""
-_KEPT = 0.99
+_MEMORY = 0.99
 """Share of the evidence of unnamed grasps kept after a further one, because drifts change."""
 _PLACING_LOG_GAIN = 0.1
 """Standard deviation of the logarithm of the load of one object between placings."""
@@ -123,14 +123,14 @@ class DriftGrid(ArrayRecord):
 
     def with_unnamed(self, log_likelihood: NDArray[np.float64]) -> Self:
         """Return the grid after an unnamed grasp; (G, O) or (G, 1), as `with_gauge`."""
-        followed = _KEPT * self.followed + _POWER * (log_likelihood - log_likelihood.max())
+        followed = _MEMORY * self.followed + _POWER * (log_likelihood - log_likelihood.max())
         return replace(self, followed=followed, n_followed=self.n_followed + 1)
 
     def without_unnamed(self) -> Self:
         """Return the grid without the unnamed grasps."""
         return replace(self, followed=np.zeros(()), n_followed=0)
 
-    def with_unnamed_kept(self) -> Self:
+    def with_unnamed_as_gauge(self) -> Self:
         """Return the grid that keeps the evidence of unnamed grasps like a gauge."""
         if not self.n_followed:
             return self

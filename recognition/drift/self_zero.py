@@ -61,7 +61,7 @@ _FOAM_ODDS = 0.4
 """Factor on the odds of a new object on another foam. Tuned on sixteen further cells: 1 to 0.2 name
 95 to 97 % of the grasps and leave 100 % of new objects UNKNOWN, and 89 to 80 % of those that differ
 from a taught one by 1 or 2 mm."""
-_SHOWN_SIGMAS = 2.0
+_CLEAR_SIGMAS = 2.0
 """Least change of the foam that is reported, in standard deviations."""
 _DRAWN_SD_M, _DRAWN_RATIO_SD = 5e-5, 0.05
 """Standard deviations in virtual grasps of a drawing: of the opening in m, and of the ratio of the
@@ -292,7 +292,7 @@ def foam_change(taught: SelfZero, today: SelfZero) -> float | None:
     """Return the stiffness of the foam over that of teaching; None without a clear change."""
     by_force, force_var, by_way, way_var = _changes(taught, today)
     log_ratio = by_way - by_force
-    clear = log_ratio**2 > _SHOWN_SIGMAS**2 * (force_var + way_var)
+    clear = log_ratio**2 > _CLEAR_SIGMAS**2 * (force_var + way_var)
     return float(np.exp(log_ratio)) if clear else None
 
 

@@ -38,7 +38,7 @@ class FeatureGroup:
     features: Callable[[Levels, Sequence[Footprint]], NDArray[np.float64]]
     """Returns the features (n, F) float64 of n grasps, from their levels and the footprint of each
     gripping pad."""
-    beside_opening: bool = True
+    with_opening: bool = True
     """Whether vectors with the opening contain it, too."""
 
 
@@ -57,7 +57,7 @@ FEATURE_GROUPS: tuple[FeatureGroup, ...] = (
     FeatureGroup(
         name="harmonics",
         features=lambda _, pads: harmonic_features(pads),
-        beside_opening=False,
+        with_opening=False,
     ),
 )
 """All features by touch, in their order in a vector."""
@@ -78,7 +78,7 @@ def touch_features(
         [
             group.features(levels, footprints)
             for group in FEATURE_GROUPS
-            if group.beside_opening or not opening
+            if group.with_opening or not opening
         ],
         axis=1,
     )

@@ -44,7 +44,7 @@ _OPENED_M = 0.5e-3
 """Least motion in m that counts as an opening after the ramp: creep closes the fingers."""
 _QUIET_SHARE = 0.02
 """Largest share of the rise of a pad's total in untouched frames before the touch."""
-_BESIDE = np.array([[[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]]])
+_NEIGHBOURS = np.array([[[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]]])
 """The four neighbours of a taxel in its row and column."""
 _LEAST_FRAMES = 2 * QUIET_FRAMES
 """Fewest frames of a grasp: rest and load, and enough of rest for its noise."""
@@ -347,7 +347,7 @@ def _with_stuck_replaced(
         return rise
     sound = np.where(stuck, 0.0, rise)
     sums, n = (
-        ndimage.convolve(of.reshape(-1, *shape), _BESIDE, mode="constant").reshape(len(of), -1)
+        ndimage.convolve(of.reshape(-1, *shape), _NEIGHBOURS, mode="constant").reshape(len(of), -1)
         for of in (sound, (~stuck)[None].astype(np.float64))
     )
     replaced = rise.copy()

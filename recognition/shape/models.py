@@ -66,7 +66,7 @@ Array = NDArray[np.floating[Any]]
 Surface = tuple[Array, Array]
 """Depth below the highest point in m; share from 0 to 1 of the cell that is covered."""
 
-_BESIDE_M = 1.0
+_OUTSIDE_M = 1.0
 """Depth in m outside an object, without pressure: much more than any foam."""
 _LOG_HALF_MM = (float(np.log(7.0)), 0.9)
 """Mean and standard deviation of the prior of the logarithm of half a thickness in mm."""
@@ -139,7 +139,7 @@ def _covered(half_m: Array, at_m: Array, cell_m: float) -> Array:
 def _cap(h_m: Array, squared: Array) -> Surface:
     lag_m = h_m * (1.0 - np.sqrt(np.maximum(1.0 - squared, 0.0)))
     inside = squared < 1.0
-    return np.where(inside, lag_m, _BESIDE_M), inside.astype(squared.dtype)
+    return np.where(inside, lag_m, _OUTSIDE_M), inside.astype(squared.dtype)
 
 
 def _sphere(h_m: Array, own: Array, u_m: Array, v_m: Array, cell_m: float) -> Surface:

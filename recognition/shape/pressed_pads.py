@@ -22,7 +22,7 @@ SPREAD_STEPS = 10
 
 _WINDOW_M = 13e-3
 """Largest half width in m of the computed part of a pad."""
-_BESIDE_M = 3.5e-3
+_MARGIN_M = 3.5e-3
 """Width in m of the unloaded rim of that part, beyond two standard deviations of the load."""
 _CELL_M = 0.75e-3
 """Longest side in m of a cell of the pressure grid."""
@@ -114,7 +114,7 @@ def reduce_to_pads(grasp: Grasp, foam: FoamModel) -> PressedPads:
     )
     xy_m = pads.taxel_xy_m[pads.taxels_of(first)]
     centre_m, spread_m2 = _centre_and_spread(share[-1], sd[-1], xy_m)
-    half_m = np.minimum(_BESIDE_M + 2.0 * np.sqrt(np.diag(spread_m2)), _WINDOW_M)
+    half_m = np.minimum(_MARGIN_M + 2.0 * np.sqrt(np.diag(spread_m2)), _WINDOW_M)
     factors = np.exp(SPREAD_STEP * np.arange(-SPREAD_STEPS, SPREAD_STEPS + 1))
     beds = [
         PadBed(pads, first, foam.spread_m * float(factor), cell_m=_CELL_M).cropped(centre_m, half_m)

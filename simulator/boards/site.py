@@ -10,7 +10,7 @@ from simulator.knobs import FINGER, SHARE, Number, knob
 from simulator.world.world import PhysicalWorld
 from tactile.layout import TaxelLayout
 
-_KEPT_BYTES = 65536
+_MOST_BYTES = 65536
 """Most bytes that wait for a host; older bytes are lost."""
 
 
@@ -105,7 +105,7 @@ class SerialBoard:
     def send(self, data: bytes, at_s: float) -> None:
         """Begin to send bytes at ``at_s`` s; without a reader the oldest bytes are lost."""
         self._sent.append((at_s, data))
-        del self._sent[: -max(1, _KEPT_BYTES // max(1, len(data)))]
+        del self._sent[: -max(1, _MOST_BYTES // max(1, len(data)))]
 
     def transmit(self, now_s: float) -> bytes:
         """Return the bytes that have reached the host by ``now_s``."""
@@ -120,7 +120,7 @@ class SerialBoard:
                 self._sent[0] = (begin_s + n * self._byte_s, frame[n:])
                 break
             del self._sent[0]
-        return b"" if self.unplugged else bytes(data[-_KEPT_BYTES:])
+        return b"" if self.unplugged else bytes(data[-_MOST_BYTES:])
 
     def next_event_s(self) -> float | None:
         """Return when the next bytes reach the host."""

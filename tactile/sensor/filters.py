@@ -15,7 +15,7 @@ Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 """One value for each taxel, (n_taxels,)."""
 _ALL = np.ones((3, 3), dtype=np.bool_)
-_BESIDE = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=np.bool_)
+_NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=np.bool_)
 """The 3 x 3 neighbours with the taxel itself, and without it."""
 _START, _KEEP = 5.5, 3.0
 """A region starts at a taxel above the first, and lasts while one is above the second. All limits
@@ -67,10 +67,10 @@ class Neighbourhood:
         """
         return self.weighted(values) / self._total
 
-    def highest_beside(self, values: NDArray[Any]) -> NDArray[Any]:
+    def highest_neighbour(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return the highest value of each taxel's up to eight neighbours, which are at least 0."""
         return self._taxels(
-            ndimage.maximum_filter(self._image(values), footprint=_BESIDE, mode="constant")
+            ndimage.maximum_filter(self._image(values), footprint=_NEIGHBOURS, mode="constant")
         )
 
     def connected(self, seed: Mask, allowed: Mask) -> Mask:

@@ -124,10 +124,10 @@ class QualityWatch:
         if not odd.any():
             return
         change = np.abs(now.astype(np.int64) - before)
-        calm = self._hood.highest_beside(change) < _CALM_SHARE * full
-        self._broken |= odd & calm & ~self._hood.highest_beside(odd)
+        calm = self._hood.highest_neighbour(change) < _CALM_SHARE * full
+        self._broken |= odd & calm & ~self._hood.highest_neighbour(odd)
 
-    def drift_beside(self, tared: Values, void: Mask) -> str:
+    def drift_outside(self, tared: Values, void: Mask) -> str:
         """Return a message if the pads that no grasp presses are not at their zero, else "".
 
         Parameters
@@ -142,7 +142,7 @@ class QualityWatch:
     def drift_anywhere(self, tared: Values, void: Mask) -> str:
         """Return a message if a pad is not at its zero without a grip, else "".
 
-        Half of a pad's taxels may be touched. Parameters as `drift_beside`.
+        Half of a pad's taxels may be touched. Parameters as `drift_outside`.
         """
         of_pads = (
             self._drift_of(

@@ -41,7 +41,7 @@ from tactile.source import (
 
 _Item = TypeVar("_Item")
 
-_KEPT_FORCES = 1000
+_MOST_FORCES = 1000
 """Size of the queue of force messages: five seconds at 200 a second; older ones are dropped."""
 _GAP_S = 0.1
 """Longest gap between frames in the mean in s; after a longer one the mean starts again."""
@@ -173,7 +173,7 @@ class TactileSensor:
         """Standard deviation in N of the grip force of one force message, or of one frame."""
         self._last_s: float | None = None
         self._failed: FrameTimeout | ForceContradicted | None = None
-        self._new_forces: deque[ForceMessage] = deque(maxlen=_KEPT_FORCES)
+        self._new_forces: deque[ForceMessage] = deque(maxlen=_MOST_FORCES)
         self._force_bad: NDArray[np.bool_] | None = None
         self._taxel_noise_n = (inf, inf)
         self._saturated_frames = self._void_frames = 0
@@ -471,7 +471,7 @@ class TactileSensor:
         if not self._mean_full:
             return "too few frames since the tare or the last gap"
         grip = self._full_scale(saturated) or self._too_many_bad(bad)
-        return grip or self._quality.drift_beside(tared, bad | saturated)
+        return grip or self._quality.drift_outside(tared, bad | saturated)
 
     def _full_scale(self, saturated: NDArray[np.bool_]) -> str:
         for finger, taxels in enumerate(self._grips):

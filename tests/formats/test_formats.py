@@ -13,7 +13,7 @@ import pytest
 from cell.commissioning.findings import read_commissioned
 from cell.commissioning.servos import backup_file, read_backup
 from cell.config.file import load_config
-from cell.control.self_zero import kept_zeros
+from cell.control.self_zero import stored_zeros
 from cell.service.history import read_day
 from tests.cell.conftest import call
 
@@ -60,7 +60,7 @@ def test_recording_and_archive_are_read(release: Path) -> None:
 
 def test_what_the_cell_keeps_is_used_again(release: Path) -> None:
     config = load_config(Path("tactile-cell.yaml"))
-    zeros = kept_zeros(config, Path("jobs"), new_hand=False)
+    zeros = stored_zeros(config, Path("jobs"), new_hand=False)
     assert zeros.newest is not None
     path = Path("jobs/history-press-4.sqlite3")
     with closing(sqlite3.connect(path)) as table:

@@ -57,7 +57,7 @@ NOT_MEASURED = 0x8000
 """Force, opening or temperature that is not measured: -32768 as two's complement."""
 OLDEST_MS = 0x7FFF
 """Largest age in ms, also of values never measured: large for signed and unsigned readers."""
-ANSWERED, ANSWER_UNKNOWN, ANSWER_KEPT = 1, 2, 4
+ANSWERED, ANSWER_UNKNOWN, ANSWER_IN_GRIP = 1, 2, 4
 """Bits of the last identification: it has an answer; the answer is UNKNOWN; the part was kept."""
 
 
@@ -206,7 +206,7 @@ def input_registers(
     flags = (
         (ANSWERED, answer.number > 0),
         (ANSWER_UNKNOWN, answer.label == UNKNOWN),
-        (ANSWER_KEPT, answer.in_grip),
+        (ANSWER_IN_GRIP, answer.in_grip),
     )
     bits = (
         (READY, status.state == CellState.IDLE),

@@ -71,7 +71,7 @@ STIFFNESS_SD = 0.5
 _STIFFER = 4.0
 """Largest change of a stiffness, as a factor: pads that show a force before they touch make a stiff
 part look soft. [chosen]"""
-_SHOWN_M = 1.5 * GRAIN_M
+_MOTION_M = 1.5 * GRAIN_M
 """Change of the opening in m that shows a motion: a count and a half. [resolution]"""
 _LEAST_OPENING_SHARE = 0.3
 """Least friction of opening fingers over that of closing ones. [chosen]"""
@@ -173,7 +173,7 @@ class Pushes:
 
     def __init__(self, drives: Drives) -> None:
         self._drives = drives
-        self.shown_s, self._closing = -inf, True
+        self.effect_s, self._closing = -inf, True
         """Time in s from which a measurement shows the effect of the last push."""
         self._from_n = self.growth_n = 0.0
         """Force in N before the last push, and its expected growth by it."""
@@ -192,7 +192,7 @@ class Pushes:
         speed_m_s = beyond_n * moment.dt_s / observer.mass_kg
         self.growth_n = observer.stiffness_n_m * speed_m_s * moment.dt_s
         self._from_n, self._closing = observer.force_n, closing
-        self.shown_s = moment.now_s + _SHOWS_S
+        self.effect_s = moment.now_s + _SHOWS_S
         # The current reaches the push at the end of the period only.
         observer.break_loose(sign * 0.5 * speed_m_s)
         return sign * (friction_n + beyond_n) / current_share(moment.dt_s)
@@ -358,7 +358,7 @@ class ForceLaw:
         least_n = max(_HOLD_N if rate_n_s == 0.0 else _RAMP_N, self.observer.force_sd_n)
         if sign * rate_n_s < 0.0 or (sign < 0.0 and rate_n_s == 0.0):
             least_n += _FALL_N
-        may_start = sample.measured_s > self._pushes.shown_s and (sign > 0.0 or period.may_open)
+        may_start = sample.measured_s > self._pushes.effect_s and (sign > 0.0 or period.may_open)
         if abs(error_n) <= least_n or not may_start or period.moment.dt_s <= 0.0:
             return 0.0
         self._started_m = period.state.aperture_m
@@ -396,7 +396,7 @@ class ForceLaw:
 
         It does once the positions show it, or where pushes alone are too slow for the plan.
         """
-        if abs(period.state.aperture_m - self._started_m) > _SHOWN_M:
+        if abs(period.state.aperture_m - self._started_m) > _MOTION_M:
             return True
         growth_n = self._pushes.growth_n
         unseen_s = 2.0 * (period.moment.now_s - sample.measured_s) + _SHOWS_S

@@ -130,7 +130,9 @@ class ClassModel(ArrayRecord):
             every -= (a**2).sum(-1)[:, :, None] + (b**2).sum(-1)[:, None]
             every -= 2.0 * (a @ b.transpose(0, 2, 1))
             outside = np.maximum(every - (z**2).sum(-1), 0.0) / n_outside
-            unit = (1.0 + outside) ** (SETTINGS.beside_power * rank / (rank + SETTINGS.beside_axes))
+            unit = (1.0 + outside) ** (
+                SETTINGS.outside_power * rank / (rank + SETTINGS.outside_axes)
+            )
         lengths = (z**2).sum(axis=-1)
         distances = _squared_distances(parts, lengths, model.centres)
         classes, taught = np.arange(len(model.centres)), self.taught

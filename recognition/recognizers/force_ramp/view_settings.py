@@ -15,9 +15,9 @@ class ViewSettings:
     # Scores
     freedom: float = 3.0
     """Degrees of freedom of the t distribution of a grasp about its object: heavy tails [6]."""
-    beside_power: float = 0.85
+    outside_power: float = 0.85
     """Power of the spread beside many classes in the unit of distances [taught part: .75 to 1]."""
-    beside_axes: float = 3.0
+    outside_axes: float = 3.0
     """Axes between the classes at which half of that power is reached [taught part]."""
     least_distance: float = 0.1
     """Added to squared distances before their logarithm: a lower limit of novelty [taught part]."""

@@ -129,11 +129,11 @@ class _Teaching:
         spread = None
         if not self.opening and len(names) > 1:
             spread = fit_class_spread(z, numbers, discriminant.centres)
-        rows_kept = even_in_time(numbers, SETTINGS.taught)
+        chosen = even_in_time(numbers, SETTINGS.taught)
         return ClassModel(
             discriminant=discriminant,
-            taught=z[rows_kept].astype(np.float32),
-            taught_classes=numbers[rows_kept],
+            taught=z[chosen].astype(np.float32),
+            taught_classes=numbers[chosen],
             sizes=fit_sizes(sizes_mm, numbers),
             spread=spread,
         )

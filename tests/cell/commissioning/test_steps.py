@@ -16,7 +16,7 @@ from cell.commissioning.first_force import FIRST_FORCE
 from cell.commissioning.pads import PADS_AT_REST
 from cell.commissioning.servos import SERVOS, backup_file, restore
 from cell.commissioning.unit import UNIT
-from cell.control.self_zero import kept_zeros
+from cell.control.self_zero import stored_zeros
 from cell.errors import CellError
 from cell.formats import SERVO_BACKUP, write_json
 from gripper.dynamixel.drive import DriveCharacteristic
@@ -200,17 +200,17 @@ def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(grasped) -> N
     assert abs(finding.values["meet_mm"]) < 1.0
 
 
-def kept_drives(stand: Stand) -> list[DriveCharacteristic]:
+def stored_drives(stand: Stand) -> list[DriveCharacteristic]:
     """Return what is kept of both servos for the cell."""
     config = stand.bench.config
-    stored = kept_zeros(config, stand.bench.folder / config.recording.directory, new_hand=False)
+    stored = stored_zeros(config, stand.bench.folder / config.recording.directory, new_hand=False)
     assert len(stored.drives) == 2
-    return list(stored.kept_drives(dict.fromkeys(stored.drives, 0)).values())
+    return list(stored.stored_drives(dict.fromkeys(stored.drives, 0)).values())
 
 
 @pytest.mark.slow
 def test_what_it_measures_of_the_servos_is_kept_for_the_cell(grasped) -> None:
-    for drive in kept_drives(grasped[0]):
+    for drive in stored_drives(grasped[0]):
         assert drive.measured
         assert drive.load_sd < 0.1
         assert drive.kt_per_back_emf is not None
@@ -240,7 +240,7 @@ def test_a_person_who_leaves_with_the_part_held_finds_it_held_and_lets_go_next_t
     assert quiet.person.script.asked[2] == "fingers.held"
     assert finding.status is Verdict.PASS, finding.lines
     # Without weights on the pads the constant of the motor is not kept.
-    assert all(drive.kt_per_back_emf is None for drive in kept_drives(quiet))
+    assert all(drive.kt_per_back_emf is None for drive in stored_drives(quiet))
 
 
 @pytest.mark.parametrize("moment", ["while they open", "while they grasp"])

@@ -15,7 +15,7 @@ from cell.commissioning.findings import Verdict
 from cell.config.file import changed_config, config_text, parse_config
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
-from cell.control.self_zero import SelfZeros, kept_zeros, part_between, zero_file
+from cell.control.self_zero import SelfZeros, part_between, stored_zeros, zero_file
 from cell.control.states import CellState
 from cell.errors import CellError, PartInGrip, PlanRefused, ZeroRefused
 from cell.formats import SELF_ZERO, write_json
@@ -143,7 +143,7 @@ def test_a_daily_start_opens_again_on_a_part_and_goes_on(make_bench, tmp_path) -
     assert bench.controller.zeros.newest is None
     assert health_values(config, bench.cell, None)["zero"] == {"level": "watch", "text": note}
     # Its file exists if the servos' friction showed in the grip.
-    assert kept_zeros(config, tmp_path, new_hand=False).newest is None
+    assert stored_zeros(config, tmp_path, new_hand=False).newest is None
 
 
 @pytest.mark.slow
@@ -252,15 +252,15 @@ def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(monkeypatch,
     monkeypatch.chdir(tmp_path)
     call("teach", "ball", "-n", 2, "-o", "taught.npz")
     zeros = {grasp.zero for grasp in read_grasps(Path("taught.npz"))}
-    stored = kept_zeros(CellConfig(), tmp_path / "out")
+    stored = stored_zeros(CellConfig(), tmp_path / "out")
     assert zeros == {stored.newest}
     assert stored.newest is not None
     # A simulated hand is new in each program, a real one is not.
     assert stored.due
     there = changed_config(CellConfig(), REAL | {"self_zero": "daily"})
-    assert kept_zeros(there, tmp_path).due
-    kept_zeros(there, tmp_path).keep(ZERO)
-    assert not kept_zeros(there, tmp_path).due
+    assert stored_zeros(there, tmp_path).due
+    stored_zeros(there, tmp_path).keep(ZERO)
+    assert not stored_zeros(there, tmp_path).due
     # Faults are for the grasps of a command, not for a self-zero before them.
     faulty = cell_config(None, faults=["servo1.off@contact"])
     assert (CellConfig().self_zero, faulty.self_zero) == ("daily", "on_demand")
@@ -308,12 +308,14 @@ def test_a_whole_file_of_other_values_counts_as_none(tmp_path, values) -> None:
 )
 def test_a_zero_of_another_cell_counts_as_none_and_is_named(tmp_path, change, named) -> None:
     here = changed_config(CellConfig(), REAL)
-    kept_zeros(here, tmp_path).keep(ZERO)
-    assert kept_zeros(here, tmp_path).newest == ZERO
-    other = kept_zeros(changed_config(here, change), tmp_path)
+    stored_zeros(here, tmp_path).keep(ZERO)
+    assert stored_zeros(here, tmp_path).newest == ZERO
+    other = stored_zeros(changed_config(here, change), tmp_path)
     assert (other.newest, other.due) == (None, True)
     assert f"with other {named}. Give each cell a name of its own" in other.refused
-    assert kept_zeros(changed_config(here, {"gripper.force_max_n": 12.0}), tmp_path).newest == ZERO
+    assert (
+        stored_zeros(changed_config(here, {"gripper.force_max_n": 12.0}), tmp_path).newest == ZERO
+    )
 
 
 @pytest.mark.slow
@@ -401,35 +403,35 @@ DRIVE = replace(
 def test_drives_are_kept_with_their_servo_and_without_a_zero_too(tmp_path: Path) -> None:
     here = changed_config(CellConfig(), REAL | {"gripper.pads_meet": False})
     homing = {1: 0, 2: 0}
-    kept_zeros(here, tmp_path).keep_drives({1: DRIVE}, homing)
-    later = kept_zeros(here, tmp_path)
+    stored_zeros(here, tmp_path).keep_drives({1: DRIVE}, homing)
+    later = stored_zeros(here, tmp_path)
     assert later.newest is None
     assert not later.refused
-    drives = later.kept_drives(homing)
+    drives = later.stored_drives(homing)
     assert set(drives) == {1}
     # Friction is another one on another day; the rest is as it was measured.
     assert drives[1].friction_sd > DRIVE.friction_sd
     assert replace(drives[1], friction_sd=0.05, measured_s=0.0) == DRIVE
     assert drives[1].measured_s == pytest.approx(time.time(), abs=60.0)
-    assert not later.kept_drives({1: 1024, 2: 0}), "another homing offset"
+    assert not later.stored_drives({1: 1024, 2: 0}), "another homing offset"
     for change in (
         {"gripper.port": "/dev/ttyUSB1"},
         {"gripper.servos": [{"id": 1, "model": "XM430-W210"}, {"id": 2}]},
         {"gripper.servos": [{"id": 3}, {"id": 2}]},
     ):
-        assert not kept_zeros(changed_config(here, change), tmp_path).kept_drives(homing)
+        assert not stored_zeros(changed_config(here, change), tmp_path).stored_drives(homing)
 
 
 def test_a_measured_zero_keeps_the_drives_and_they_keep_the_zero(tmp_path: Path) -> None:
     here = changed_config(CellConfig(), REAL)
-    kept_zeros(here, tmp_path).keep(ZERO)
-    kept_zeros(here, tmp_path).keep_drives({2: DRIVE}, {})
-    both = kept_zeros(here, tmp_path)
+    stored_zeros(here, tmp_path).keep(ZERO)
+    stored_zeros(here, tmp_path).keep_drives({2: DRIVE}, {})
+    both = stored_zeros(here, tmp_path)
     assert both.newest == ZERO
-    assert set(both.kept_drives({})) == {2}
+    assert set(both.stored_drives({})) == {2}
     # What nobody has measured is the catalogue's, and is not kept.
     both.keep_drives({1: DriveCharacteristic.catalogue(MODELS["XM430-W350"])}, {})
-    assert set(kept_zeros(here, tmp_path).drives) == {2}
+    assert set(stored_zeros(here, tmp_path).drives) == {2}
 
 
 def test_cells_have_files_of_their_own_whatever_their_names_have_in_common() -> None:

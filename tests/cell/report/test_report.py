@@ -32,7 +32,7 @@ from cell.report.recorded import (
     pressure_view,
     recorded_report,
 )
-from cell.report.shapes import MAX_BARS, Felt, shapes_view
+from cell.report.shapes import MAX_BARS, ShapeRow, shapes_view
 from gripper.force.timing import LoopStatistics
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.statistics.fusion import fuse
@@ -280,7 +280,7 @@ def test_unwritable_place_is_a_clear_error(tmp_path) -> None:
 # -- shape and size ----------------------------------------------------------------------------
 
 
-def shape_row(truth: str, shape: Any, answer: str = "ball") -> Felt:
+def shape_row(truth: str, shape: Any, answer: str = "ball") -> ShapeRow:
     return truth, answer, shape
 
 

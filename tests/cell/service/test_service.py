@@ -29,7 +29,7 @@ from cell.runtime.goals import IdentifyGoal
 from cell.service import history
 from cell.service.history import History, history_file, read_day
 from cell.service.service import RELEASE_KEY
-from cell.service.shift import KEPT_ANSWERS, Shift, began_s
+from cell.service.shift import MOST_ANSWERS, Shift, began_s
 from gripper.values.state import GripperPhase
 from tactile.errors import FrameTimeout
 from tests.cell.conftest import once, small_config
@@ -202,7 +202,7 @@ def test_jobs_of_a_simulated_cell_are_recorded_with_who_asked(serve: Any, tmp_pa
 
 @pytest.mark.slow
 def test_the_last_answer_outlives_the_jobs_that_are_kept(serve: Any, monkeypatch: Any) -> None:
-    monkeypatch.setattr(worker, "KEPT_JOBS", 2)
+    monkeypatch.setattr(worker, "MOST_JOBS", 2)
     served = serve(cell={})
     lease = served.service.lease.acquire("first")
     served.service.start(lease, KEEP)
@@ -465,11 +465,11 @@ def test_the_ledger_stays_small() -> None:
         shift.add(clock.part(), {"t_s": [float(number)]})
     values = shift.values()
     assert (values["parts"], values["parts_last_hour"]) == (5000, 3600)
-    assert [one.number for one in values["answers"]] == list(range(5001 - KEPT_ANSWERS, 5001))
+    assert [one.number for one in values["answers"]] == list(range(5001 - MOST_ANSWERS, 5001))
     assert shift.curves(5000) == {"t_s": [4999.0]}
-    assert shift.part(5001 - KEPT_ANSWERS).number == 5001 - KEPT_ANSWERS
+    assert shift.part(5001 - MOST_ANSWERS).number == 5001 - MOST_ANSWERS
     with pytest.raises(RequestRefused, match="part 4980 is not kept; the newest is 5000"):
-        shift.part(5000 - KEPT_ANSWERS)
+        shift.part(5000 - MOST_ANSWERS)
     stored = (shift._times_s, shift._cycles_s, shift.parts, shift._curves)
     assert tuple(map(len, stored)) == (3600, 1000, 20, 20)
 
@@ -698,7 +698,7 @@ def test_a_clock_that_leaps_loses_no_day(stored: Stored) -> None:
 def test_the_first_days_go_when_there_are_many(
     stored: Stored, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(history, "KEPT_DAYS", 3)
+    monkeypatch.setattr(history, "MOST_DAYS", 3)
     for day in range(5):
         stored.now_s = MONDAY_S + day * DAY_S
         stored.add(part())

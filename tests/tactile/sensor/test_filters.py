@@ -53,7 +53,7 @@ def test_nothing_reaches_across_pads() -> None:
     other = np.ones(N, dtype=bool)
     other[LAYOUT.taxels_of(0)] = False
     assert not HOOD.mean(values)[other].any()
-    assert not HOOD.highest_beside(values)[other].any()
+    assert not HOOD.highest_neighbour(values)[other].any()
     np.testing.assert_array_equal(HOOD.connected(mask(0), np.ones(N, dtype=bool)), ~other)
 
 

@@ -295,9 +295,9 @@ def _lines(result: EvaluationResult) -> Iterator[str | Table]:
 def _details(name: str, evaluation: Evaluation) -> Iterator[str]:
     """Yield the confusions of a recognizer, and its figures with drift correction."""
     if pairs := evaluation.confused:
-        shown_pairs = [f"{n} x {truth} as {answer}" for truth, answer, n in pairs[:_PAIRS]]
+        listed = [f"{n} x {truth} as {answer}" for truth, answer, n in pairs[:_PAIRS]]
         rest = f", and {len(pairs) - _PAIRS} more pairs" if len(pairs) > _PAIRS else ""
-        yield f"{name} confuses, one grasp each: {', '.join(shown_pairs)}{rest}"
+        yield f"{name} confuses, one grasp each: {', '.join(listed)}{rest}"
     shift = evaluation.shift
     if shift is not None:
         yield (

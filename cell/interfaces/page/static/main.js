@@ -5,7 +5,7 @@ import { NoAnswer } from "./link.js";
 import { millimetres, number, t } from "./words.js";
 import { renderBand, runs } from "./band.js";
 import { renderHeld } from "./held.js";
-import { forget, renderFelt, takeFrame, takeValues } from "./felt.js";
+import { forget, renderMeasured, takeFrame, takeValues } from "./measured.js";
 import { drawOpened, openGrasp, renderShift } from "./shift.js";
 import { renderHealth } from "./health.js";
 import { renderFault } from "./fault.js";
@@ -103,7 +103,7 @@ function render() {
   wasStale = stale;
   dirty = false;
   if (stale) forget();
-  for (const part of [renderBand, renderFault, renderHeld, renderFelt, renderShift, renderHealth,
+  for (const part of [renderBand, renderFault, renderHeld, renderMeasured, renderShift, renderHealth,
     renderCommands, renderTeach, renderGauge, renderSort, renderPose, renderSimulation, renderShare]) part(view);
 }
 

@@ -3,7 +3,7 @@
 import { byId, make, renew, setText } from "./dom.js";
 import { labelWord, taskWord } from "./band.js";
 import { shapeWord } from "./held.js";
-import { drawChart, drawPads } from "./felt.js";
+import { drawChart, drawPads } from "./measured.js";
 import { clock, clockShort, duration, language, newtons, number, percent, t } from "./words.js";
 
 const KEPT = 20;
@@ -110,7 +110,7 @@ export function drawOpened() {
   }));
   const frame = grasp.frame ? Float32Array.from(grasp.frame) : null;
   const highest = Math.max(0, ...grasp.force_n);
-  byId("grasp_pads").setAttribute("aria-label", t("felt.pads_say", { force: newtons(highest) }));
+  byId("grasp_pads").setAttribute("aria-label", t("measured.pads_say", { force: newtons(highest) }));
   byId("grasp_chart").setAttribute("aria-label", t("shift.chart_say", { force: newtons(highest) }));
   byId("grasp_pads").hidden = !frame;
   if (frame) {

@@ -15,7 +15,7 @@ from cell.control.live import LiveValues
 from cell.control.plan import Pose
 from cell.errors import PositionerError
 from cell.interfaces.modbus.registers import (
-    ANSWER_KEPT,
+    ANSWER_IN_GRIP,
     ANSWERED,
     COMMAND,
     COMMAND_SEQ,
@@ -72,7 +72,7 @@ def test_signature_life_and_bits_have_their_registers(connect) -> None:
     assert plc.inputs()[2] == READY | REMOTE
     assert plc.command(IDENTIFY, 0, 0, 0, KEEP) == 0
     inputs = plc.inputs()
-    assert (inputs[2], inputs[25]) == (REMOTE | DONE | HOLDING, ANSWERED | ANSWER_KEPT)
+    assert (inputs[2], inputs[25]) == (REMOTE | DONE | HOLDING, ANSWERED | ANSWER_IN_GRIP)
 
 
 def test_live_values_have_their_registers(connect) -> None:

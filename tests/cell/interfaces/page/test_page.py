@@ -371,7 +371,7 @@ def test_what_is_not_measured_is_a_dash_and_an_old_frame_is_not_shown(open_page,
     becomes(page, "#state", "Working")
     page.wait_for_selector("#pads", state="visible")
     cell.plugin.show_live(LiveValues())
-    becomes(page, "#felt_force", "–")
+    becomes(page, "#measured_force", "–")
     page.wait_for_selector("#pads_none", state="visible")
     becomes(page, "#pads_none", "No frames of the pads")
     # With empty fingers the pads of the last answer stay.
@@ -581,7 +581,7 @@ def test_a_cut_line_is_red_at_once_and_returns_by_itself(served, wire, open_page
     wire.cut()
     becomes(page, "#state", "Not connected")
     assert page.get_attribute("#band", "data-level") == "bad"
-    assert page.text_content("#felt_force") == "–"
+    assert page.text_content("#measured_force") == "–"
     becomes(page, "#do_identify", "not connected")
     page.evaluate("window.same = true")
     served.plugin.pause()

@@ -149,7 +149,7 @@ export function drawPads(canvas, pads, values, { full_n, note = "" }) {
     context.fillStyle = colour("muted");
     context.font = `14px ${FONT}`;
     context.textAlign = "left";
-    context.fillText(t("felt.finger", { finger: pad.finger }), x0, y + LABEL / 2);
+    context.fillText(t("measured.finger", { finger: pad.finger }), x0, y + LABEL / 2);
     context.fillStyle = colour("ink");
     context.font = `600 16px ${FONT}`;
     context.textAlign = "right";
@@ -171,7 +171,7 @@ export function drawPads(canvas, pads, values, { full_n, note = "" }) {
   context.fillStyle = colour("muted");
   context.font = `13px ${FONT}`;
   context.textAlign = "left";
-  context.fillText(t("felt.scale", { full: full_n }), x0 + bar + 8, top + 4);
+  context.fillText(t("measured.scale", { full: full_n }), x0 + bar + 8, top + 4);
   if (note) context.fillText(note, x0, top + 26);
 }
 
@@ -239,8 +239,8 @@ export function drawChart(canvas, series, { begin_s, end_s, levels_n = [], cap_n
     rule(openY(share * most_mm));
     label(number(share * most_mm), left - 8, openY(share * most_mm), "right");
   }
-  label(t("felt.force_axis"), left, top - 10, "left");
-  label(t("felt.opening_axis"), left, openTop - 10, "left");
+  label(t("measured.force_axis"), left, top - 10, "left");
+  label(t("measured.opening_axis"), left, openTop - 10, "left");
   let free = Infinity;
   for (const level of [...new Set(levels_n)].sort((a, b) => a - b)) {
     const y = forceY(level);
@@ -256,7 +256,7 @@ export function drawChart(canvas, series, { begin_s, end_s, levels_n = [], cap_n
   for (let at = 0; at <= span + 1e-6; at += step) {
     const x = live ? toX(end_s - at) : toX(begin_s + at);
     const text = live && at ? `−${number(at)}` : number(at);
-    label(at ? text : live ? t("felt.now") : "0", x, height - bottom / 2 + 2, "center");
+    label(at ? text : live ? t("measured.now") : "0", x, height - bottom / 2 + 2, "center");
   }
   context.save();
   context.beginPath();
@@ -275,7 +275,7 @@ export function drawChart(canvas, series, { begin_s, end_s, levels_n = [], cap_n
     const right_edge = toX(at) > width - right - 70;
     // One name is enough; an axis with its own name needs none.
     if (at !== touched.at(-1) || toX(at) < left + 110) continue;
-    label(t("felt.contact"), toX(at) + (right_edge ? -5 : 5), openTop - 10, right_edge ? "right" : "left");
+    label(t("measured.contact"), toX(at) + (right_edge ? -5 : 5), openTop - 10, right_edge ? "right" : "left");
   }
   context.lineJoin = "round";
   context.strokeStyle = colour("muted");
@@ -309,25 +309,25 @@ function lastFrame({ state, link, changed }) {
 
 let described_s = 0;
 
-export function renderFelt(view) {
+export function renderMeasured(view) {
   const { state, info, link } = view;
   if (!state) return;
   const old = link.stale;
   const { live, status } = state;
   const value = (text) => (old ? "–" : text);
-  setText(byId("felt_force"), value(newtons(live.force_n)));
-  setText(byId("felt_setpoint"), value(newtons(live.setpoint_n)));
-  setText(byId("felt_opening"), value(millimetres(live.opening_mm)));
-  setText(byId("felt_grip"), value(has(`grip.${status.grasp}`) ? t(`grip.${status.grasp}`) : status.grasp));
+  setText(byId("measured_force"), value(newtons(live.force_n)));
+  setText(byId("measured_setpoint"), value(newtons(live.setpoint_n)));
+  setText(byId("measured_opening"), value(millimetres(live.opening_mm)));
+  setText(byId("measured_grip"), value(has(`grip.${status.grasp}`) ? t(`grip.${status.grasp}`) : status.grasp));
   const pads = info?.pads;
   const values = frame ?? lastFrame(view);
   const seen = Boolean(pads?.length) && values !== null && !old;
   show(byId("pads_none"), !seen);
-  setText(byId("pads_none"), old ? t("felt.not_now") : t("felt.no_frames"));
+  setText(byId("pads_none"), old ? t("measured.not_now") : t("measured.no_frames"));
   show(byId("pads"), Boolean(pads?.length) && (seen || old));
   if (seen) {
     scale_n = calmScale(Math.max(...values));
-    drawPads(byId("pads"), pads, values, { full_n: scale_n, note: frame ? "" : t("felt.last") });
+    drawPads(byId("pads"), pads, values, { full_n: scale_n, note: frame ? "" : t("measured.last") });
   } else sized(byId("pads"));
   const end_s = history.at(-1)?.t_s ?? 0;
   if (old) sized(byId("chart"));
@@ -340,8 +340,8 @@ export function renderFelt(view) {
   const now_s = Date.now() / 1000;
   if (now_s - described_s > 2) {
     described_s = now_s;
-    byId("pads").setAttribute("aria-label", t("felt.pads_say", { force: newtons(live.force_n) }));
-    byId("chart").setAttribute("aria-label", t("felt.chart_say", {
+    byId("pads").setAttribute("aria-label", t("measured.pads_say", { force: newtons(live.force_n) }));
+    byId("chart").setAttribute("aria-label", t("measured.chart_say", {
       force: newtons(live.force_n), setpoint: newtons(live.setpoint_n), opening: millimetres(live.opening_mm),
     }));
   }
