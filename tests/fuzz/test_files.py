@@ -66,10 +66,6 @@ def npy_of(array: NDArray[Any]) -> bytes:
     return stream.getvalue()
 
 
-def array_of(data: bytes) -> NDArray[Any]:
-    return np.load(io.BytesIO(data), allow_pickle=False)
-
-
 def members_of(data: bytes) -> dict[str, bytes]:
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         return {name: archive.read(name) for name in archive.namelist()}
@@ -139,7 +135,7 @@ def loaded(path: Path, data: bytes, kind: str) -> str:
 
 def forged(members: dict[str, bytes]) -> dict[str, bytes]:
     """Return a model's files with the right checksum in its header."""
-    arrays = {name[:-4]: array_of(data) for name, data in members.items()}
+    arrays = {name[:-4]: np.load(io.BytesIO(data)) for name, data in members.items()}
     header = json.loads(str(arrays.pop("model"))) | {"sha256": _digest(arrays)}
     return members | {"model.npy": npy_of(np.array(json.dumps(header)))}
 

@@ -74,12 +74,6 @@ class Line:
         self.heard.clear()
         return heard
 
-    def sdo(self, request: bytes) -> bytes:
-        [(can_id, data)] = self.tell(SDO_IN, request)
-        assert can_id == SDO_OUT
-        assert len(data) == 8
-        return data
-
     def send_message(self, can_id: int, data: bytes) -> None:
         """Send a message of canopen's client."""
         self.unit.receive(can_id, bytes(data), self.now_s)
@@ -121,11 +115,6 @@ class Line:
         self.wait(0.02)
         [frame] = frames
         return frame
-
-
-def abort_code(data: bytes) -> int:
-    assert data[0] == 0x80
-    return int.from_bytes(data[4:], "little")
 
 
 @pytest.fixture
@@ -278,24 +267,6 @@ def test_the_mapping_can_be_written_again(line) -> None:
         assert line.write(0x1A00, sub, value, size) == 0
     line.start()
     assert len(line.tell(SYNC)) == 59
-
-
-@pytest.mark.parametrize(
-    ("requests", "code"),
-    [
-        (["00 00 00 00 00 00 00 00"], 0x0504_0001),
-        (["C2 17 10 00 02 00 00 00"], 0x0504_0001),
-        (["40 08 10 00 00 00 00 00", "70 00 00 00 00 00 00 00"], 0x0503_0000),
-        (["40 30 21 01 00 00 00 00"], 0x0601_0001),
-    ],
-)
-def test_wrong_sdo_requests_are_aborted_and_leave_the_server_working(line, requests, code) -> None:
-    *before, last = requests
-    for request in before:
-        assert line.sdo(bytes.fromhex(request))[0] != 0x80
-    assert abort_code(line.sdo(bytes.fromhex(last))) == code
-    assert line.read(0x1008) == b"Tactile control unit"
-    assert line.write(0x1017, 0, 100, 2) == 0
 
 
 def test_a_unit_that_is_on_no_bus_says_so() -> None:
