@@ -1,13 +1,14 @@
 """Several axes as one: all move, and when one fails all stop. A wrist among them."""
 
 import math
+from dataclasses import replace
 from typing import Any
+from unittest.mock import Mock, call
 
 import pytest
 
 from motion.axes import Axes
-from motion.axis import Axis, AxisSettings
-from motion.bus import Watch
+from motion.drive import Cia402Drive
 from motion.errors import (
     AxisFault,
     AxisLimitExceeded,
@@ -16,82 +17,55 @@ from motion.errors import (
     AxisSilent,
     PositionImplausible,
 )
-from simulator.clock import VirtualClock
+from simulator.can.drive import SimulatedDrive
 from tests.cell.conftest import once
+from tests.motion.conftest import BOOT_S, DriveBench, MakeDrive
 
-NEAR_RAD = math.radians(1.0)
-WATCH = Watch(VirtualClock(), 0.005)
-
-
-class StubAxis(Axis):
-    """An axis that arrives in some polls, and may fail at one of them."""
-
-    def __init__(self, name: str, *, polls: int = 3, fails_at: int = 99) -> None:
-        settings = AxisSettings(
-            name=name, linear=True, increments=100.0, low=-1.0, high=1.0, velocity=1.0,
-            acceleration=1.0, window=0.05, lag=0.05,
-        )  # fmt: skip
-        super().__init__(settings, "stub", WATCH)
-        self.calls: list[str] = []
-        self._at, self._polls, self._fails_at, self._polled = 0, polls, fails_at, 0
-
-    def identify(self) -> str:
-        return "ready"
-
-    def prepare(self, *, reset: bool) -> None:
-        self.calls.append(f"prepare {reset}")
-
-    def clear_fault(self, *, reboot: bool) -> None:
-        self.calls.append(f"clear {reboot}")
-
-    def wake(self) -> None:
-        self.calls.append("wake")
-
-    def go_to(self, position: float) -> None:
-        self._at = self.target(position)
-        self.calls.append(f"go {self._at}")
-
-    def arrived(self) -> bool:
-        self._polled += 1
-        if self._polled == self._fails_at:
-            raise AxisFault(f"{self.name} is at fault")
-        return self._polled >= self._polls
-
-    def rest(self) -> None:
-        self.calls.append("rest")
-
-    def read_increments(self) -> int:
-        return self._at
-
-    def stop(self) -> None:
-        self.calls.append("stop")
-
-    def standing(self) -> bool:
-        return True
+NEAR_M, NEAR_RAD = 5e-5, math.radians(1.0)
 
 
-def test_all_axes_move_at_once_and_are_prepared_once() -> None:
-    x, y = StubAxis("x"), StubAxis("y")
-    axes = Axes([x, y], WATCH)
-    with pytest.raises(AxisLimitExceeded, match=r"axis y was asked for 1100.00 mm"):
-        axes.move({"x": 0.5, "y": 1.1})
-    assert x.calls == y.calls == []
-    assert axes.move({"x": 0.5, "y": -0.25}) == {"x": 0.5, "y": -0.25}
-    assert x.calls == ["prepare False", "go 50", "rest"]
-    axes.move({"x": 0.0, "y": 0.0})
-    assert y.calls == ["prepare False", "go -25", "rest", "wake", "go 0", "rest"]
+@pytest.fixture
+def both(make_drive: MakeDrive) -> tuple[DriveBench, SimulatedDrive, Mock]:
+    """Two drives on one bus, x and y, whose axes are one; and each preparation of x."""
+    bench = make_drive(homing=None, start_m=0.0)
+    mount = replace(bench.simulated.mount, node_id=12)
+    bench.link.add(second := SimulatedDrive(mount, start_s=bench.clock.monotonic()))
+    bench.clock.sleep(BOOT_S)
+    y = Cia402Drive(replace(bench.drive.settings, name="y", node_id=12), bench.drive._bus)
+    bench.drive.prepare = prepared = Mock(wraps=bench.drive.prepare)  # type: ignore[method-assign]
+    bench.axes = Axes([bench.drive, y], bench.drive._watch)
+    return bench, second, prepared
 
 
-@pytest.mark.parametrize("fails_at", [2, 5])
-def test_when_one_axis_fails_all_are_stopped_and_prepared_anew(fails_at: int) -> None:
+def test_all_axes_move_at_once_and_are_prepared_once(both) -> None:
+    bench, second, prepared = both
+    with pytest.raises(AxisLimitExceeded, match=r"axis y was asked for 21.00 mm"):
+        bench.axes.move({"x": 0.01, "y": 0.021})
+    assert (bench.simulated.state, second.state) == ("SWITCH ON DISABLED",) * 2
+    bench.axes.move({"x": 0.015, "y": -0.01})
+    began_s, wanted = bench.clock.monotonic(), {"x": -0.015, "y": 0.02}
+    assert bench.axes.move(wanted) == pytest.approx(wanted, abs=NEAR_M)
+    # 30 mm at 50 mm/s, 0.1 s of acceleration and as much of braking.
+    assert bench.clock.monotonic() - began_s == pytest.approx(0.7, abs=0.05)
+    assert prepared.call_args_list == [call(reset=False)]
+
+
+@pytest.mark.parametrize("way_m", [0.02, 0.001])
+def test_when_one_axis_fails_all_are_stopped_and_prepared_anew(both, way_m: float) -> None:
     """Also an axis that fails after it has arrived."""
-    x, y = StubAxis("x", fails_at=fails_at), StubAxis("y", polls=9)
-    axes = Axes([x, y], WATCH)
-    with pytest.raises(AxisFault, match="x is at fault; all axes stand still"):
-        axes.move({"x": 0.5, "y": 0.5})
-    assert x.calls[-1] == y.calls[-1] == "stop"
-    axes.move({"x": 0.0, "y": 0.0})
-    assert y.calls[-3:] == ["prepare True", "go 0", "rest"]
+    bench, second, prepared = both
+    x = bench.simulated
+    once(
+        bench.clock,
+        lambda: second.moving and (way_m > 0.01 or x.position > way_m - 1e-5),
+        lambda: x.fail(0x2310),
+        after_s=0.02,
+    )
+    with pytest.raises(AxisFault, match=r"axis x .*: remedy the cause.*; all axes stand still"):
+        bench.axes.move({"x": way_m, "y": 0.02})
+    assert (second.moving, second.position < 0.015) == (False, True)
+    bench.axes.move({"x": 0.0, "y": 0.0})
+    assert prepared.call_args == call(reset=True)
 
 
 @pytest.fixture
