@@ -1,7 +1,7 @@
 """From a config to a cell."""
 
 import json
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.config.tactile import TactileConfig, link_settings
 from cell.control.plan import Pose
-from cell.control.positioner import CallbackPositioner, OperatorPositioner
+from cell.control.positioner import CallbackPositioner, OperatorPositioner, SimulatedPositioner
 from cell.control.states import CellState
 from cell.errors import CellError, ConfigError, PositionerError
 from cell.hand.connections import MISSING, HandConnections
@@ -138,6 +138,9 @@ def test_a_paced_cell_lives_on_while_no_command_runs(make_bench) -> None:
     cell.idle()
     assert clock.monotonic() - began_s < 0.02  # free: no time but that of the two looks
     assert cell.follow(real, 1.0) == 0.02
+    began_s, real_s = clock.monotonic(), real.now_s
+    cell.controller.grip(3.0, Pose())
+    assert real.now_s - real_s == pytest.approx(clock.monotonic() - began_s, abs=0.02)
     began_s, ages_s = clock.monotonic(), []
     for _ in range(50):
         paced(cell, real, 0.06)
@@ -145,6 +148,11 @@ def test_a_paced_cell_lives_on_while_no_command_runs(make_bench) -> None:
     assert clock.monotonic() - began_s == pytest.approx(3.0, abs=0.03)
     assert max(age_s for age_s in ages_s if age_s is not None) < 0.05
     assert None not in ages_s
+    bench.inject("can.off")
+    with pytest.raises(TactileError):
+        paced(cell, real, 1.0)
+    assert (cell.controller.life.state, bench.grip_n > 2.5) == (CellState.ABORTED, True)
+    paced(cell, real, 0.2)
     real.now_s += 3600.0  # the machine was asleep: an hour is not caught up
     began_s = clock.monotonic()
     cell.idle()
@@ -153,31 +161,6 @@ def test_a_paced_cell_lives_on_while_no_command_runs(make_bench) -> None:
     began_s = clock.monotonic()
     paced(cell, real, 1.0)
     assert clock.monotonic() - began_s < 0.2
-
-
-@pytest.mark.slow
-def test_a_paced_cell_keeps_a_part_and_its_fault_and_is_ready_again(make_bench) -> None:
-    bench, real = make_bench().ready(), Clock()
-    cell, controller, clock = bench.cell, bench.controller, bench.simulated.clock
-    cell.follow(real, 1.0)
-    began_s, real_s = clock.monotonic(), real.now_s
-    controller.grip(3.0, Pose())
-    assert real.now_s - real_s == pytest.approx(clock.monotonic() - began_s, abs=0.02)
-    paced(cell, real, 0.5)
-    assert controller.life.state is CellState.COMPLETE
-    assert bench.grip_n > 2.5
-    bench.inject("can.off")
-    with suppress(TactileError):
-        paced(cell, real, 1.0)
-    assert controller.life.state is CellState.ABORTED
-    began_s = clock.monotonic()
-    paced(cell, real, 1.0)
-    assert clock.monotonic() - began_s == pytest.approx(1.0, abs=0.03)
-    assert bench.grip_n > 2.5
-    controller.life.clear()
-    paced(cell, real, 1.0)
-    controller.release_held()
-    assert bench.grip_n == 0.0
 
 
 # -- The simulated cell as the config describes it -------------------------------------------------
@@ -261,8 +244,14 @@ def test_a_cell_that_cannot_be_is_a_config_error(key, value, complaint) -> None:
 def test_an_object_comes_to_rest_and_a_box_on_a_face() -> None:
     with SimulatedCell(simulator_settings(small_config())) as cell:
         placer = InProcessPlacer(cell)
-        assert placer.place("ball", Pose(x_m=1e-3, roll_rad=0.5)).x_m == 1e-3
-        reached = placer.place("box", Pose(roll_rad=0.2))
+        positioner = SimulatedPositioner(placer)
+        with pytest.raises(PositionerError, match="no object was named"):
+            positioner.move_to(Pose())
+        for label in ("ball", "box"):
+            positioner.present(label)
+            positioner.present(None)  # the same one
+            reached = positioner.move_to(Pose(x_m=1e-3, roll_rad=0.2))
+            assert (cell.world.placed[0], reached.x_m) == (label, 1e-3)
         assert reached.roll_rad % (np.pi / 2) == pytest.approx(0.0, abs=1e-9)
         with pytest.raises(PositionerError, match="dice cannot be placed"):
             placer.place("dice", Pose())

@@ -306,13 +306,6 @@ def positioner(*axes: dict[str, Any], **more: Any) -> dict[str, Any]:
     return {"positioner": {"kind": "axes", "axes": list(axes)} | more}
 
 
-def test_the_example_has_two_drives_and_a_wrist() -> None:
-    config = load_config(CONFIG_FOLDER / "two-axes-and-wrist.yaml")
-    assert [axis.moves for axis in config.positioner.axes] == ["x", "rotation", "roll"]
-    assert [axis.kind for axis in config.positioner.axes] == ["cia402", "cia402", "dynamixel"]
-    assert config.brings_objects
-
-
 def test_a_cell_on_real_ports_has_its_axes_there_too() -> None:
     changes = CHANGES | REAL
     real = positioner(

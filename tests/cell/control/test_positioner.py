@@ -18,7 +18,6 @@ from cell.control.positioner import (
     CallbackPositioner,
     Destination,
     OperatorPositioner,
-    SimulatedPositioner,
     SocketPlacer,
 )
 from cell.control.states import CellState
@@ -29,32 +28,6 @@ from tests.faults.campaign import CHANGES
 from tests.values import raising
 
 POSE = Pose(x_m=1e-3, rotation_rad=1.0)
-
-
-class Table:
-    def __init__(self) -> None:
-        self.placed: list[tuple[str, Pose]] = []
-
-    def check(self, label: str) -> None:
-        if label != "ball":
-            raise PositionerError(f"there is no object {label!r}; there are ball")
-
-    def place(self, label: str, pose: Pose) -> Pose:
-        self.placed.append((label, pose))
-        return Pose(x_m=pose.x_m)
-
-
-def test_simulated_positioner_places_the_presented_object_and_says_where_it_rests() -> None:
-    table = Table()
-    positioner = SimulatedPositioner(table)
-    with pytest.raises(PositionerError, match="no object was named"):
-        positioner.move_to(POSE)
-    positioner.present("ball")
-    with pytest.raises(PositionerError, match="'washer'; there are ball"):
-        positioner.present("washer")
-    positioner.present(None)
-    assert positioner.move_to(POSE) == Pose(x_m=1e-3)
-    assert table.placed == [("ball", POSE)]
 
 
 def test_operator_is_asked_and_can_stop() -> None:
