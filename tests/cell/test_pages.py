@@ -10,6 +10,7 @@ import sys
 import tomllib
 import urllib.request
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,6 +24,7 @@ from cell.build import build_cell
 from cell.config.file import changed_config, config_text, load_config, parse_config
 from cell.control.plan import GraspStep, Pose
 from cell.interfaces.cli.app import app
+from cell.recording.retention import mark
 from cell.service.history import History
 from gripper.values.outcome import GraspResult
 from tests import ROOT, blocks, commands
@@ -87,9 +89,11 @@ def test_the_page_on_recordings_can_be_typed(here) -> None:
     assert settings == type(settings)()  # the page shows the defaults
     recording = Path("out/serve-20270115-080000/recording.mcap")
     recording.parent.mkdir(parents=True)
-    recording.touch()
+    recording.write_bytes(bytes(2_000_000))
+    os.utime(recording, 2 * (datetime(2027, 1, 15, 8, 30).timestamp(),))
+    mark(recording)
     listed, marked, unmarked = typed("how-to/keep-recordings.md")
-    assert str(recording) in listed
+    assert f"  {recording}: MB 2.0, last write 2027-01-15 08:30, marked yes\n" in listed
     assert (marked, unmarked) == (f"{recording}: marked\n", f"{recording}: not marked\n")
     well = SimpleNamespace(n_faults=0, fault=None)
     history = History(Path("out/history-press-4.sqlite3"), lambda: well)

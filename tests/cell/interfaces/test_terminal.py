@@ -16,7 +16,6 @@ from typer.testing import CliRunner
 
 from cell.commissioning.engine import WizardAborted, leave
 from cell.commissioning.findings import ProposedChange
-from cell.config.model import CellConfig
 from cell.control.positioner import PatientCaller
 from cell.control.states import CellState
 from cell.errors import CellError, CellStopped, ModelError, PositionerError, RecordingError
@@ -25,7 +24,7 @@ from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands.commission import TerminalDialog
 from cell.interfaces.cli.session import running_cell
 from cell.interfaces.cli.signals import stopping
-from tests.cell.conftest import small_config
+from tests.cell.conftest import REAL, small_config
 from tests.values import raising
 from tests.waiting import LIMIT_S
 
@@ -273,11 +272,13 @@ def test_a_job_ends_early_unless_its_recording_alone_fails_at_the_end(
     plugin.cell.controller.zeroing.note = ""
     plugin.status.return_value = Mock(state="IDLE")
     monkeypatch.setattr(session, "TactileCellPlugin", lambda *_arguments, **_options: plugin)
-    ended = ""
+    ended, file = "", tmp_path / "a cell.yaml"
     try:
-        with running_cell(CellConfig(), "run", tmp_path, config_file=None, json_file=None):
+        with running_cell(small_config(**REAL), "run", tmp_path, config_file=file, json_file=None):
             if in_the_job is not None:
                 raise in_the_job(in_the_job.__name__)
     except CellError as error:
-        ended = str(error).partition("\n")[0]
+        ended, left, release = str(error).split("\n")
+        assert left == "the grip is kept; recording so far: r.mcap"
+        assert release.endswith(f"t: tactile-cell hand release --config '{file}' --confirm")
     assert ended == told

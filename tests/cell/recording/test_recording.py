@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import replace
-from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -42,7 +41,7 @@ from cell.recording.reader import (
     recover_recording,
 )
 from cell.recording.recorder import ROOM_BYTES, Recorder
-from cell.recording.retention import LEAST_FREE_BYTES, Retention, mark, recordings, unmark
+from cell.recording.retention import LEAST_FREE_BYTES, Retention, mark, unmark
 from cell.recording.schema import RECOVERED
 from cell.recording.sink import LEFT_BYTES, RecordingSink
 from gripper.dynamixel.transactions import BusStatistics
@@ -51,7 +50,6 @@ from gripper.values.force_sensor import ForceSample
 from recognition.grasp import Grasp, GraspCommand, SelfZero
 from recognition.recognizer import Posterior
 from tactile.source import TactileFrame
-from tests.cell.conftest import call
 from tests.cell.served import until
 from tests.fuzz.harness import Clock, same_grasps
 from tests.values import (
@@ -368,7 +366,7 @@ def test_a_long_recording_continues_in_a_new_file_and_loses_nothing(
             journal.begin()
             journal.states(CellState.EXECUTE, GraspState.IDLE)
             record_grasp(recorder, clock, f"{number}")
-            until_written(recorder)
+            until(lambda: not recorder._sink.busy)  # the disk has taken it
     n_files = len(list(tmp_path.iterdir()))
     assert n_files >= 3
     paths = [tmp_path / "r.mcap", *(tmp_path / f"r-{n}.mcap" for n in range(2, n_files + 1))]
@@ -377,11 +375,6 @@ def test_a_long_recording_continues_in_a_new_file_and_loses_nothing(
     grasps = [grasp.label for one in read for grasp in one.grasps]
     assert grasps == [f"{number}" for number in range(30)]
     assert all(one.states[0]["state"] == "EXECUTE" for one in read)
-
-
-def until_written(recorder: Recorder) -> None:
-    """Wait until the disk has taken what was recorded."""
-    until(lambda: not recorder._sink.busy)
 
 
 @pytest.fixture
@@ -842,6 +835,8 @@ def test_only_recordings_in_folders_of_jobs_are_managed(keep) -> None:
     keeper.retention.enforce()
     assert all(path.exists() for path in own)
     assert len(keeper.notes) == 1
+    with pytest.raises(RecordingError, match="is not a recording"):
+        mark(keeper.folder)
     path = keeper.job(2)
     with closing(Recorder(keeper.folder / "x.mcap", Clock(100.0), pads=PADS)) as outside:
         Retention(outside, keeper.folder, keep_bytes=1).enforce()
@@ -871,16 +866,3 @@ def test_a_disk_that_does_not_answer_holds_up_neither_start_nor_end(keep, monkey
     answers.set()
     keeper.retention._thread.join(10.0)
     assert not keeper.retention._thread.is_alive()
-
-
-def test_recordings_are_listed_and_marked_by_commands(keep) -> None:
-    keeper = keep()
-    path = keeper.job(1, n_bytes=2_000_000)
-    written_s = datetime(2027, 1, 15, 8, 30).timestamp()
-    os.utime(path, (written_s, written_s))
-    assert call("recording", "mark", path) == f"{path}: marked\n"
-    listed = call("recording", "list", keeper.folder).splitlines()
-    assert f"  {path}: MB 2.0, last write 2027-01-15 08:30, marked yes" in listed
-    assert [one.marked for one in recordings(keeper.folder)] == [False, True]
-    with pytest.raises(RecordingError, match="is not a recording"):
-        mark(keeper.folder)
