@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from cell.control.identification import EarlyDecider, Identification
-from cell.control.plan import GraspStep, Keep, Pose
+from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState
-from cell.errors import CellError, CellStopped
+from cell.errors import CellError
 from cell.learning.model import Trained, load_model
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import calibrate_model, identify_recorded
@@ -21,7 +21,6 @@ from cell.runtime import tasks
 from cell.runtime.goals import IdentifyGoal, TeachGoal
 from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.worker import Report
-from gripper.errors import ServoFault
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift
 from recognition.drift.grid import DriftGrid
@@ -29,7 +28,7 @@ from recognition.errors import ContactError
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior
 from recognition.statistics.fusion import Decision, DecisionKind, StopRule
-from tests.cell.conftest import REAL, UNSURE, Scripted, plain_grasp, quick_config, small_config
+from tests.cell.conftest import REAL, UNSURE, Scripted, plain_grasp, small_config
 from tests.fuzz.harness import Clock
 from tests.values import raising
 
@@ -72,15 +71,6 @@ class Follower:
         off = (self.grid.log_gains[:, None] - gain) ** 2 + (self.grid.offsets_mm - offset) ** 2
         followed = -1e4 * off if 2 <= n < 4 else np.zeros(())
         return self.with_grid(replace(self.grid, followed=followed, n_followed=n))
-
-
-class Plain:
-    """Cannot follow."""
-
-    labels = ("ball", "box")
-
-    def posterior(self, grasp: Grasp) -> Posterior:
-        return Posterior(labels=self.labels, probability=np.array([0.5, 0.5]), unknown=0.0)
 
 
 def record(grasp: Grasp, result: GraspResult = GraspResult.FORCE_REACHED, early: bool = False):
@@ -134,7 +124,8 @@ def test_only_whole_ramps_that_held_something_teach() -> None:
 def test_others_stay_as_they_are() -> None:
     one = record(plain_grasp("ball"))
     off: Any = {"recognition.follow_drift": False}
-    for model in (model_of(Plain()), model_of(Follower(), **off)):
+    plain = SimpleNamespace(labels=("ball", "box"), posterior=lambda _grasp: posterior(0.5))
+    for model in (model_of(plain), model_of(Follower(), **off)):
         before = model.recognizer
         assert [identified(model, one) for _ in range(3)] == 3 * [""]
         assert model.recognizer is before
@@ -360,42 +351,6 @@ def test_a_check_that_fails_is_a_complaint_and_the_ramp_goes_on(bench) -> None:
     assert answer.complaints == ("early checks of the ramp of grasp 1: a broken model",)
     assert len(recognizer.grasps) == 3
     assert bench.controller.life.fault is None
-
-
-@pytest.mark.slow
-def test_a_fault_while_an_ended_ramp_settles_keeps_the_grip(bench) -> None:
-    bench.ready()
-    recognizer = Scripted(LIKELY, look=lambda: bench.simulated.inject("servo2.overload"))
-    with pytest.raises(ServoFault):
-        bench.controller.identify(recognizer, [STEP], early=True)
-    assert len(recognizer.grasps) == 1
-    assert bench.controller.life.state is CellState.ABORTED
-    assert bench.controller.life.holding
-    assert bench.grip_n > 0.5
-
-
-@pytest.mark.slow
-def test_a_part_kept_after_an_ended_ramp_is_held_with_the_force_of_a_carry(make_bench) -> None:
-    bench = make_bench(quick_config()).ready()
-    step = GraspStep(pose=Pose(), force_n=5.0)
-    answer = bench.controller.identify(Scripted(LIKELY), [step], early=True, keep=Keep.ALWAYS)
-    (record,) = answer.records
-    carry_n = bench.config.sequence.carry_force_n
-    assert record.outcome.final_force_n < 0.8 * carry_n
-    assert answer.in_grip
-    check = bench.controller.kept_part.verify()
-    assert (check.same, check.force_n) == (True, pytest.approx(carry_n, rel=0.1))
-    assert bench.grip_n == pytest.approx(carry_n, rel=0.2)
-
-
-@pytest.mark.slow
-def test_a_stop_comes_before_the_end_of_the_ramp(bench) -> None:
-    bench.ready()
-    recognizer = Scripted(LIKELY, look=bench.controller.life.cancel)
-    with pytest.raises(CellStopped, match="the grip is kept"):
-        bench.controller.identify(recognizer, [STEP], early=True)
-    assert bench.controller.life.state is CellState.HELD
-    assert bench.grip_n > 0.5
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Shape and size in words; threads of the linear algebra."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,42 +16,28 @@ from cell.learning.training import train
 from cell.runtime.goals import IdentifyGoal
 from cell.runtime.tasks import ModelFile, Tasks
 from recognition.recognizer import UNKNOWN, Posterior
-from recognition.shape.answer import UNCLEAR, ShapeAnswer, Thickness
+from recognition.shape.answer import UNCLEAR
+from tests.values import make_shape
 
-THIN = Thickness(size_m=10e-3, low_m=9.6e-3, high_m=10.4e-3)
-THICK = Thickness(size_m=15.9e-3, low_m=15.5e-3, high_m=16.3e-3, n_grasps=2)
-
-
-def shape(kind: str, *thicknesses: Thickness) -> ShapeAnswer:
-    main = thicknesses[-1]
-    return ShapeAnswer(
-        kind=kind,
-        probability={"flat": 0.75, "oval": 0.25},
-        size_m=main.size_m,
-        low_m=main.low_m,
-        high_m=main.high_m,
-        dimensions_m={"height": main.size_m, "length": 20e-3},
-        misfit=1.0,
-        thicknesses=thicknesses,
-    )
+BAR = make_shape("flat", 10.0, 15.9, half_mm=0.4, n_grasps=2)
 
 
 def test_what_has_no_name_is_described() -> None:
-    pin = shape("cylinder", THIN)
+    pin = make_shape("cylinder", 10.0, half_mm=0.4)
     assert after_label(UNKNOWN, pin) == ": a cylinder of 10.0 mm (9.6 to 10.4)"
     assert after_label("pin", pin) == "; cylinder, 10.0 mm (9.6 to 10.4)"
     assert after_label(UNKNOWN, None) == ""
-    assert in_words(shape(UNCLEAR, THIN)) == "an unclear shape of 10.0 mm (9.6 to 10.4)"
+    assert in_words(replace(pin, kind=UNCLEAR)) == "an unclear shape of 10.0 mm (9.6 to 10.4)"
 
 
 def test_all_thicknesses_are_told() -> None:
     told = "10.0 mm (9.6 to 10.4) and 15.9 mm (15.5 to 16.3)"
-    assert in_words(shape("flat", THIN, THICK)) == f"a flat object of {told}"
-    assert str(shape("flat", THIN, THICK)) == f"flat, {told}"
+    assert in_words(BAR) == f"a flat object of {told}"
+    assert str(BAR) == f"flat, {told}"
 
 
 def test_a_host_gets_millimetres() -> None:
-    part = Part(shape=shape("flat", THIN, THICK))
+    part = Part(shape=BAR)
     assert part.size_mm == pytest.approx(15.9)
     fields = part.model_dump()
     assert (fields["shape"], fields["interval_mm"]) == ("flat", pytest.approx((15.5, 16.3)))

@@ -87,8 +87,9 @@ def test_a_hand_of_five_fingers_of_which_an_object_presses_two():
 
 def test_a_grasp_without_contact_is_unknown(taught, fresh):
     empty = dataclasses.replace(fresh[0], counts=np.zeros_like(fresh[0].counts))
-    assert taught.posterior(empty).unknown == 1.0
-    assert np.ptp(taught.posterior(empty).probability) == 0.0
+    answer = taught.posterior(empty)
+    assert (answer.name, answer.name_probability, answer.unknown) == (UNKNOWN, 1.0, 1.0)
+    assert np.ptp(answer.probability) == 0.0
 
 
 @pytest.mark.parametrize(
