@@ -12,12 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from cell.control.lifecycle import CellLifecycle
 from cell.control.states import CellState
 from cell.errors import CellStateError, RecordingError
 from cell.recording import retention
 from cell.recording.reader import read_recording
-from cell.runtime.goals import GripGoal, TeachGoal
+from cell.runtime.goals import TeachGoal
 from cell.runtime.health import health_values
 from cell.runtime.lease import Lease
 from cell.runtime.plugin import TactileCellPlugin
@@ -196,31 +195,21 @@ def test_a_silence_is_told_once_and_again_after_the_host_was_heard() -> None:
 
 
 @pytest.mark.slow
-def test_nothing_is_stopped_where_no_job_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_silence_stops_the_job_that_runs_alone_and_its_end_can_be_read() -> None:
     with TactileCellPlugin(quick_config(host_timeout_s=0.2)) as plugin:
-        stopped: list[str] = []
-        with monkeypatch.context() as watched:
-            watched.setattr(CellLifecycle, "cancel", lambda _cell, why="": stopped.append(why))
-            plugin.alive()
-            until(lambda: not plugin._lease.number)
-        assert stopped == []
-        job = plugin.start(GripGoal(force_n=3.0, present="ball"))
-        assert plugin.result(job, LIMIT_S).held
-
-
-@pytest.mark.slow
-def test_the_job_of_a_silent_host_is_held_and_its_end_can_be_read() -> None:
-    with TactileCellPlugin(quick_config(host_timeout_s=0.2)) as plugin:
-        controller = plugin.cell.controller
+        life = plugin.cell.controller.life
+        plugin.alive()
+        until(lambda: not plugin._lease.number)
+        assert not life.cancelled
         job = plugin.start(TeachGoal(label="ball", grasps=1000))
         until(lambda: not plugin._worker.running)
         status = plugin.feedback(job)
         assert status.outcome is JobOutcome.CANCELED
         assert "stopped because 'the host' was silent for 0." in status.error
-        assert controller.life.state in (CellState.HELD, CellState.IDLE)
+        assert life.state in (CellState.HELD, CellState.IDLE)
         with pytest.raises(JobFailed, match="'the host' was silent"):
             plugin.result(job, 1.0)
-        if controller.life.state is CellState.HELD:
+        if life.state is CellState.HELD:
             plugin.release(LIMIT_S)
         assert plugin.status().state_number == CellState.IDLE.number
 
