@@ -45,6 +45,11 @@ def ended(pid: int) -> bool:
     return state == "Z"
 
 
+def gone(pid: int) -> bool:
+    """Whether a process is gone and was waited for."""
+    return not Path(f"/proc/{pid}").exists()
+
+
 def run(
     *arguments: object,
     code: int = 0,

@@ -27,6 +27,7 @@ from pytest_tactile_cell.process import CellProcessError
 from tactile.errors import FrameTimeout
 from tests import blocks
 from tests.cell.conftest import COARSE_PADS
+from tests.hil.program import gone
 from tests.marks import LONG
 
 FIXTURES = (
@@ -107,17 +108,11 @@ def test_the_ini_option_names_the_config_and_the_command_line_overrules(pytester
     result.stdout.fnmatch_lines(["*FOUND b"])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--can-interface", "slcan"), "*--can-interface and --can-channel need each other*"),
-        (("--can-channel", "can0"), "*--can-interface and --can-channel need each other*"),
-    ],
-)
-def test_options_that_make_no_sense_are_refused(pytester, arguments, message) -> None:
+@pytest.mark.parametrize("arguments", [("--can-interface", "slcan"), ("--can-channel", "can0")])
+def test_options_that_make_no_sense_are_refused(pytester, arguments) -> None:
     result = run(pytester, *arguments)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines([message])
+    result.stderr.fnmatch_lines(["*--can-interface and --can-channel need each other*"])
 
 
 def test_a_wrong_config_is_named_without_a_traceback(pytester) -> None:
@@ -203,13 +198,19 @@ positioner: {kind: operator}
 
 
 @pytest.mark.slow
-def test_a_cell_grasps_an_object_of_the_test(simulated_cell) -> None:
-    cell = simulated_cell(objects=PIN, changes=QUICK)
+def test_a_cell_grasps_an_object_of_the_test_at_its_pose_and_records_it(
+    simulated_cell, tmp_path
+) -> None:
+    moved: list[Pose] = []
+    cell = simulated_cell(objects=PIN, mover=moved.append, changes=QUICK, folder=tmp_path)
     assert cell.controller.life.state.value == "STOPPED"
-    record = cell.start("pin").grasp(force_n=3.0)
+    record = cell.start("pin").grasp(force_n=3.0, pose=Pose(x_m=1e-3))
     assert record.outcome.final_force_n == pytest.approx(3.0, abs=0.5)
+    assert moved == [Pose(x_m=1e-3)]
     assert cell.grip_n == 0.0
     assert cell.aperture_m > 0.015
+    cell.cell.close()
+    assert len(read_recording(cell.cell.recording_path).grasps) == 1
 
 
 @pytest.mark.slow
@@ -232,22 +233,6 @@ def test_a_config_of_a_real_cell_is_simulated_with_its_own_ids_and_limits(
     assert (cell.config.gripper.force_max_n, cell.config.positioner.kind) == (9.0, "simulated")
     assert [servo.servo_id for servo in cell.simulated.settings.servos] == [11, 12]
     assert cell.start().cell.controller.hand.statistics.source.frames.complete > 0
-
-
-@pytest.mark.slow
-def test_a_mover_takes_the_place_of_the_positioner(simulated_cell) -> None:
-    moved: list[Pose] = []
-    cell = simulated_cell(objects=PIN, mover=moved.append, changes=QUICK)
-    cell.start("pin").grasp(pose=Pose(x_m=1e-3))
-    assert moved == [Pose(x_m=1e-3)]
-
-
-@pytest.mark.slow
-def test_a_recording_is_made_on_request(simulated_cell, tmp_path) -> None:
-    cell = simulated_cell(objects=PIN, changes=QUICK, folder=tmp_path)
-    cell.start("pin").grasp()
-    cell.cell.close()
-    assert len(read_recording(cell.cell.recording_path).grasps) == 1
 
 
 @pytest.mark.long
@@ -358,10 +343,6 @@ def test_the_runtime_of_a_host_program_shows_the_true_force_and_takes_faults(
 
 
 CONTRACT = Path(__file__).parents[1] / "contract"
-
-
-def gone(pid: int) -> bool:
-    return not Path(f"/proc/{pid}").exists()
 
 
 @pytest.mark.real_time
