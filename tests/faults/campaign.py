@@ -426,11 +426,15 @@ def sets_lost(row: FaultRow, *, lost: Callable[[int], bool], crossing: int) -> O
 
     with campaign_cell(row.changes) as cell:
         observed = observe(cell, lambda: _on_sync(cell, lose))
-        timed = _since(cell, observed, lost_s[crossing - 1])
+        monitor = cell.monitor
+        known_s = monitor.latched_s if monitor.latched_s is not None else monitor.noted_s
+        if known_s is not None:
+            after_s = max(0.0, known_s - lost_s[crossing - 1])
+            observed = replace(observed, detected_after_s=after_s)
     first_s = 1e3 * (lost_s[crossing - 1] - lost_s[0])
     if crossing == 1:
-        return timed
-    return replace(timed, outcome=f"{timed.outcome} (first loss {first_s:.0f} ms before)")
+        return observed
+    return replace(observed, outcome=f"{observed.outcome} (first loss {first_s:.0f} ms before)")
 
 
 def adapter_comes_back(row: FaultRow) -> Observed:
@@ -472,15 +476,6 @@ def _on_sync(cell: CampaignCell, act: Callable[[int], None]) -> None:
             seen[0] += 1
 
     cell.simulated.can_bus.capture.append(look)
-
-
-def _since(cell: CampaignCell, observed: Observed, began_s: float | None) -> Observed:
-    """Return the same with the time counted from ``began_s``."""
-    monitor = cell.monitor
-    known_s = monitor.latched_s if monitor.latched_s is not None else monitor.noted_s
-    if known_s is None or began_s is None:
-        return observed
-    return replace(observed, detected_after_s=max(0.0, known_s - began_s))
 
 
 # -- The host program: a slow loop, errors in its code, the wall clock -----------------------------
