@@ -6,7 +6,7 @@ with these defaults and ranges.
 
 from dataclasses import dataclass, field, fields
 from math import inf, isfinite
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, get_args
 
 from gripper.dynamixel.control_table import WATCHDOG_UNIT_S
 from gripper.dynamixel.drive import DriveCharacteristic, Drives
@@ -17,12 +17,16 @@ from gripper.errors import LimitExceeded
 HARD_FORCE_CAP_N = 50.0
 """Largest grip force in N of any setting; not a safety function, see the documentation."""
 
-CORRECTABLE = frozenset(
-    {
-        *("return_delay_time", "operating_mode", "status_return_level", "pwm_slope"),
-        *("position_d_gain", "position_i_gain", "position_p_gain"),
-    }
-)
+Correctable = Literal[
+    "return_delay_time",
+    "operating_mode",
+    "status_return_level",
+    "pwm_slope",
+    "position_d_gain",
+    "position_i_gain",
+    "position_p_gain",
+]
+CORRECTABLE: frozenset[str] = frozenset(get_args(Correctable))
 """Registers that a start may rewrite: they do not change mechanics or protection of a servo."""
 
 _OVERSHOOT_N, _OVERSHOOT_SHARE = 0.3, 0.1

@@ -80,14 +80,17 @@ def config_text(config: CellConfig, *, comments: bool = True, keys: Sequence[str
     of other kinds, are comments. ``keys`` are dotted paths: other keys are left out, and read back
     as their defaults.
     """
-    lines = _lines(config, "", comments=comments, keys=keys)
-    return SCHEMA_LINE + "".join(f"{line}\n" for line in lines)
+    lines = _lines(config, "", keys)
+    written = lines if comments else _without_comments(lines)
+    return SCHEMA_LINE + "".join(f"{line}\n" for line in written)
 
 
-def _lines(
-    section: BaseModel, indent: str, *, comments: bool, keys: Sequence[str] = ("",)
-) -> Iterator[str]:
-    """Return the lines of a section."""
+def _without_comments(lines: Iterator[str]) -> Iterator[str]:
+    return (line for line in lines if not line.lstrip().startswith("#"))
+
+
+def _lines(section: BaseModel, indent: str, keys: Sequence[str] = ("",)) -> Iterator[str]:
+    """Return the lines of a section, each key below its comment."""
     for name, key in type(section).model_fields.items():
         # The rest of each path within the key; empty: all of it.
         inner_keys = [
@@ -96,27 +99,25 @@ def _lines(
         if not inner_keys:
             continue
         value = getattr(section, name)
-        if comments:
-            yield from _comment(_meaning(key), indent)
+        yield from _comment(_meaning(key), indent)
         if isinstance(value, BaseModel):
             yield f"{indent}{name}:"
-            yield from _lines(value, indent + "  ", comments=comments, keys=inner_keys)
+            yield from _lines(value, indent + "  ", inner_keys)
         elif isinstance(value, tuple) and any(isinstance(entry, BaseModel) for entry in value):
             yield f"{indent}{name}:"
             for entry in value:
-                first, *rest = _lines(entry, "", comments=False)
+                first, *rest = _without_comments(_lines(entry, ""))
                 yield f"{indent}  - {first}"
                 yield from (f"{indent}    {line}" for line in rest)
-            for inner, inner_key in type(value[0]).model_fields.items() if comments else ():
+            for inner, inner_key in type(value[0]).model_fields.items():
                 if all(getattr(entry, inner) is None for entry in value):
                     yield from _comment(_meaning(inner_key), f"{indent}    ")
                     yield f"{indent}    # {inner}:"
         elif value is not None:
             yield f"{indent}{name}: {_scalar(value)}"
-        elif comments:
+        else:
             yield f"{indent}# {name}:"
-        if comments:
-            yield from _alternatives(key, value, indent)
+        yield from _alternatives(key, value, indent)
 
 
 def _comment(text: str, indent: str) -> Iterator[str]:

@@ -28,10 +28,7 @@ from gripper.dynamixel.models import (
 )
 from gripper.errors import LimitExceeded
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
-from gripper.settings import (
-    GripperSettings,
-    ServoSettings,
-)
+from gripper.settings import Correctable, GripperSettings, ServoSettings
 
 _SCALE_SD, _FRICTION_SD = 0.05, 0.1
 """Uncertainty of a torque by an arm and a kitchen scale, and of a friction, which changes with the
@@ -61,21 +58,10 @@ class SlipConfig(Section):
     drop by less than 15 % of the force is none."""
 
 
-_Corrected = Literal[
-    "return_delay_time",
-    "operating_mode",
-    "status_return_level",
-    "pwm_slope",
-    "position_d_gain",
-    "position_i_gain",
-    "position_p_gain",
-]
-
-
 class ServoCareConfig(Section):
     """Registers that a start may rewrite."""
 
-    corrected_registers: tuple[_Corrected, ...] = get_args(_Corrected)
+    corrected_registers: tuple[Correctable, ...] = get_args(Correctable)
     """Registers that a start rewrites if they differ; other differing registers are refused."""
 
 
