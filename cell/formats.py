@@ -9,9 +9,12 @@ from typing import Any, NamedTuple
 
 from cell.errors import CellError
 from cell.files import json_bytes, read_plain, write_text
+from recognition.recognizer import UNKNOWN
 
 PROGRAM = f"tactile-cell {version('tactile-cell')}"
 """Name and version of this program."""
+MAX_TEXT = 200
+"""Most characters of a text of a grasp, for example its label."""
 _CHECKSUM = "sha256"
 """Key of a JSON file with the checksum of its other keys."""
 _MAX_BYTES = 4 << 20
@@ -66,6 +69,31 @@ SELF_ZERO = Format(
 ARCHIVE = Format(
     "archive", "tactile-cell-archive/3", "archive the recordings again, to a new place"
 )
+
+
+def check_text(name: str, text: str) -> None:
+    """Raise ValueError for a text of a grasp, e.g. its label, that no file may have."""
+    if not text.isprintable() or len(text) > MAX_TEXT:
+        raise ValueError(
+            f"{name} is {text!a:.60}: not printable, or longer than {MAX_TEXT} characters; write a "
+            "plain, shorter text"
+        )
+    if name == "label" and text == UNKNOWN:
+        raise ValueError(
+            f"label is {UNKNOWN}, the answer for untaught objects: write a name; a file may also "
+            "leave it empty"
+        )
+
+
+def checked_label(label: str) -> str:
+    """Return a label that is valid in data sets, models and answers.
+
+    Raises ValueError if it is blank or has space around it, or as `check_text`.
+    """
+    if not label.strip() or label != label.strip():
+        raise ValueError(f"label {label!r:.60} is blank or has space around it; write a name")
+    check_text("label", label)
+    return label
 
 
 def write_json(path: Path, kind: Format, content: Any, *, error: type[CellError]) -> None:

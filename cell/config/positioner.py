@@ -6,7 +6,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from cell.config.section import SIMULATED, Section, refuse_repeats
 from cell.config.sequence import Range, SequenceConfig
-from cell.config.simulator import checked_label
+from cell.formats import checked_label
 from gripper.dynamixel.models import MODELS, XM430_W350
 
 Moves = Literal["x", "y", "rotation", "roll"]

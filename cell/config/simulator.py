@@ -5,27 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from cell.config.section import Section, refuse_repeats
-from recognition.recognizer import UNKNOWN
-
-LONGEST_LABEL = 200
-"""Most characters of a label in a data set."""
-
-
-def checked_label(label: str) -> str:
-    """Return a label that is valid in data sets, models and answers.
-
-    Raises ValueError if it is blank, too long, not printable, has space around it, or is the word
-    for unknown objects.
-    """
-    if not label.strip() or label != label.strip():
-        raise ValueError(f"label {label!r:.60} is blank or has space around it; write a name")
-    if len(label) > LONGEST_LABEL:
-        raise ValueError(f"the label has {len(label)} characters; at most {LONGEST_LABEL} fit")
-    if not label.isprintable():
-        raise ValueError(f"label {label!a:.60} has characters that cannot be printed; remove them")
-    if label == UNKNOWN:
-        raise ValueError(f"{UNKNOWN} is the answer for unknown objects; choose another label")
-    return label
+from cell.formats import checked_label
 
 
 class SimulatedObjectConfig(Section):

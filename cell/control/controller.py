@@ -21,8 +21,8 @@ from cell.control.states import CellState, Command, Event
 from cell.control.watch import MotionWatch
 from cell.control.zeroing import BORNE_SHARE, Zeroing
 from cell.errors import NoPartFound, PartInGrip, PlanRefused, raised_as
+from cell.formats import check_text
 from cell.hand.interface import FORCE_FROM_FRAMES, Hand, LatestValues
-from cell.recording.grasp_limits import check_text
 from cell.recording.recorder import Recorder
 from gripper.clock import Clock
 from gripper.force.ramp import ForceRamp

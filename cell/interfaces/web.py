@@ -21,7 +21,6 @@ from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 from starlette.exceptions import HTTPException as StarletteHTTPException
 from starlette.websockets import WebSocketDisconnect
 
-from cell.config.simulator import LONGEST_LABEL
 from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.errors import (
@@ -35,6 +34,7 @@ from cell.errors import (
     RequestRefused,
 )
 from cell.fault_catalogue import CATALOGUE, Refusal
+from cell.formats import MAX_TEXT
 from cell.interfaces.access import is_loopback, read_secret, same_secret, view_token
 from cell.interfaces.http_server import (
     REMEDIES,
@@ -170,7 +170,7 @@ class PoseBody(LeasedBody):
 class PartBody(LeasedBody):
     """Part between the fingers of the simulated cell, for all jobs from now on."""
 
-    part: str | None = Field(default=None, min_length=1, max_length=LONGEST_LABEL)
+    part: str | None = Field(default=None, min_length=1, max_length=MAX_TEXT)
     """Name of an object, a shape, for example ``cylinder:diameter=8mm,length=20mm``, or
     ``nothing``; null: each job brings the next object."""
     pose: PoseFields = PoseFields()

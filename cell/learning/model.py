@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from cell.errors import ConfigError, ModelError, reason_text
 from cell.files import DAMAGE, read_npz, savez, write_atomically
-from cell.formats import MODEL, PROGRAM
+from cell.formats import MODEL, PROGRAM, check_text
 from cell.plugins import RECOGNIZERS
-from cell.recording.grasp_limits import check_text
 from recognition.drift.grid import DriftFollowing
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp, PadArray

@@ -40,8 +40,8 @@ from numpy.typing import NDArray
 
 from cell.errors import DatasetError, raised_as
 from cell.files import read_npz, savez, write_atomically
-from cell.formats import DATASET
-from cell.recording.grasp_limits import RANGES, check_range, check_sizes, check_text, check_times
+from cell.formats import DATASET, check_text
+from cell.recording.grasp_limits import RANGES, check_range, check_sizes, check_times
 from recognition.grasp import (
     COMMAND_COLUMNS,
     ZERO_COLUMNS,

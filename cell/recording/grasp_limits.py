@@ -1,4 +1,4 @@
-"""Limits of the numbers and texts of grasps, for files of every format."""
+"""Limits of the numbers of grasps, for files of every format."""
 
 from typing import Any
 
@@ -6,10 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.grasp import PadArray
-from recognition.recognizer import UNKNOWN
 
-MAX_TEXT = 200
-"""Most characters of a text of a grasp."""
 RANGES = {
     "adc_max": (1, 65535, "counts have 16 bits"),
     "pad_shape": (1, 1000, "rows and columns of a pad"),
@@ -65,18 +62,6 @@ def check_sizes(pads: PadArray, aperture_m: NDArray[np.float64]) -> None:
                 f"{1e3 * extent_m:g}, expected {1e3 * LEAST_PAD_M:g} or more: places stand in mm, "
                 "not in m"
             )
-
-
-def check_text(name: str, text: str) -> None:
-    """Raise ValueError for a text of a grasp, e.g. its label, that no file may have."""
-    if not text.isprintable() or len(text) > MAX_TEXT:
-        raise ValueError(
-            f"{name} is {text!a:.60}: not printable, or longer than {MAX_TEXT} characters"
-        )
-    if name == "label" and text == UNKNOWN:
-        raise ValueError(
-            f"label is {UNKNOWN}, the answer for untaught objects: write a name, or leave it empty"
-        )
 
 
 def check_times(t_s: NDArray[np.float64], offsets: NDArray[np.int64]) -> None:

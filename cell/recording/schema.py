@@ -23,7 +23,8 @@ import pydantic_core
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationInfo, with_config
 from typing_extensions import TypedDict
 
-from cell.recording.grasp_limits import RANGES, check_text
+from cell.formats import check_text
+from cell.recording.grasp_limits import RANGES
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS
 
 if TYPE_CHECKING:

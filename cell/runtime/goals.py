@@ -5,8 +5,8 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from cell.config.simulator import checked_label
 from cell.errors import ConfigError
+from cell.formats import checked_label
 
 FEED_MAX = 1000
 """Most objects of a simulated feed."""

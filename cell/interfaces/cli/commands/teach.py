@@ -6,15 +6,14 @@ from typing import Annotated, Any
 import typer
 
 from cell.config.model import CellConfig
-from cell.config.simulator import checked_label
 from cell.errors import ConfigError, DatasetError, raised_as
+from cell.formats import check_text, checked_label
 from cell.interfaces.cli import options
 from cell.interfaces.cli.session import cell_config, pads_of, running_cell
 from cell.interfaces.cli.terminal import print_line, progress_bar, show
 from cell.learning.drawing import teach_drawing
 from cell.learning.labelled_grasps import append_to_dataset, dataset_to_extend, name_recorded
 from cell.recording.dataset import read_dataset
-from cell.recording.grasp_limits import check_text
 from cell.runtime.goals import TeachGoal
 from cell.simulation import drawn_shape
 
