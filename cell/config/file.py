@@ -128,7 +128,7 @@ def _comment(text: str, indent: str) -> Iterator[str]:
 def _meaning(key: FieldInfo) -> str:
     """Return the description of a key, with its choices if it has any."""
     text = " ".join((key.description or "").split())
-    kinds = [_kind_of(one) for one in sections_in(key)]
+    kinds = [_kind_of(one) for one in sections_in(key.annotation)]
     choices = kinds if len(kinds) > 1 else _choices(key)
     unnamed = [choice for choice in choices if not re.search(rf"\b{re.escape(choice)}\b", text)]
     return f"{text} One of: {', '.join(choices)}." if unnamed and len(choices) > 1 else text
@@ -146,13 +146,13 @@ def _alternatives(key: FieldInfo, value: object, indent: str) -> Iterator[str]:
     if isinstance(value, tuple) and value:
         return
     entries = get_origin(key.annotation) is tuple
-    for kind in sections_in(key):
+    for kind in sections_in(key.annotation):
         if isinstance(value, kind):
             continue
         yield f"{indent}# {'each entry' if entries else 'or'}:"
         for name, inner in kind.model_fields.items():
             default = inner.default
-            if default is PydanticUndefined or next(iter(sections_in(inner)), None):
+            if default is PydanticUndefined or sections_in(inner.annotation):
                 default = next(iter(_choices(inner)), None)
             yield from _comment(_meaning(inner), f"{indent}#   ")
             yield f"{indent}#   {name}:{'' if default is None else f' {_scalar(default)}'}"
@@ -161,11 +161,9 @@ def _alternatives(key: FieldInfo, value: object, indent: str) -> Iterator[str]:
 
 def _scalar(value: Any) -> str:
     """Return a plain value, or a list of plain values, as YAML on one line."""
-    if isinstance(value, tuple | list):
-        return f"[{', '.join(_scalar(one) for one in value)}]"
     out = io.StringIO()
     yaml = YAML(typ="safe", pure=True)
-    yaml.width = 4096
+    yaml.width, yaml.default_flow_style = 4096, True
     yaml.dump(value, out)
     return out.getvalue().removesuffix("...\n").rstrip("\n")
 
@@ -294,7 +292,7 @@ def _section_at(way: Sequence[int | str]) -> type[Section]:
     inner = [section]
     for step in way:
         if step in section.model_fields:
-            inner = list(sections_in(section.model_fields[str(step)]))
+            inner = sections_in(section.model_fields[str(step)].annotation)
         else:
             named = [one for one in inner if step in (one.__name__, _kind_of(one))]
             inner = named or inner

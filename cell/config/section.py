@@ -1,6 +1,6 @@
 """The base of all sections of the config, and links to settings that are declared elsewhere."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from math import inf, isfinite
 from typing import Any, get_args
@@ -13,7 +13,6 @@ from pydantic import (
     GetJsonSchemaHandler,
     field_validator,
 )
-from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
 from cell.errors import ConfigError, raised_as
@@ -145,13 +144,9 @@ class Installed:
         return name
 
 
-def sections_in(key: FieldInfo) -> Iterator[type[Section]]:
+def sections_in(annotation: Any) -> list[type[Section]]:
     """Return the sections that a key may hold, through unions, lists, notes and plugins."""
-    yield from dict.fromkeys(_sections_of(key.annotation))
-
-
-def _sections_of(annotation: Any) -> Iterator[type[Section]]:
     if isinstance(annotation, type) and issubclass(annotation, Section):
-        yield from annotation.kinds()
-    for inner in get_args(annotation):
-        yield from _sections_of(inner)
+        return annotation.kinds()
+    inner = (section for part in get_args(annotation) for section in sections_in(part))
+    return list(dict.fromkeys(inner))

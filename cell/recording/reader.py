@@ -8,6 +8,7 @@ import struct
 from bisect import bisect_left, bisect_right
 from collections import Counter, defaultdict
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -32,6 +33,7 @@ MAX_FILE_BYTES = 1 << 30
 MAX_CHUNK_BYTES = 32 << 20
 """Largest record and unpacked chunk that is read, in bytes. The recorder makes chunks of 64 KiB,
 the tools of MCAP those of 8 MiB."""
+_reader = partial(StreamReader, emit_chunks=True, record_size_limit=MAX_CHUNK_BYTES)
 _DAMAGE = (*DAMAGE, McapError, zstandard.ZstdError, struct.error)
 
 
@@ -92,7 +94,7 @@ class RecordedMessages:
         try:
             metadata: dict[str, str] = next(
                 record.metadata
-                for record in _records(file)
+                for record in _reader(file).records
                 if isinstance(record, Metadata) and record.name == schema.METADATA
             )
         except (StopIteration, *_DAMAGE) as cause:
@@ -110,7 +112,7 @@ class RecordedMessages:
 
     def _messages(self, file: BinaryIO) -> Iterator[RecordedMessage]:
         try:
-            for record in _records(file, validate_crcs=True):
+            for record in _reader(file, validate_crcs=True).records:
                 if isinstance(record, DataEnd):
                     return
                 for part in self._parts(record) if isinstance(record, Chunk) else [record]:
@@ -160,15 +162,6 @@ class RecordedMessages:
         if len(extra) % n or self._n_extra not in (None, len(extra)):
             raise ValueError(f"it has {len(extra)} further samples of {n} taxels")
         self._n_extra = len(extra)
-
-
-def _records(file: BinaryIO, *, validate_crcs: bool = False) -> Iterator[McapRecord]:
-    return StreamReader(
-        file,
-        emit_chunks=True,
-        validate_crcs=validate_crcs,
-        record_size_limit=MAX_CHUNK_BYTES,
-    ).records
 
 
 def _refusal(cause: ValueError) -> str:

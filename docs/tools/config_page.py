@@ -27,7 +27,7 @@ def _sections(model: type[BaseModel], path: str) -> Iterator[str]:
     yield f"{_plain(model.__doc__)}\n"
     below = []
     for name, field in model.model_fields.items():
-        models = list(sections_in(field))
+        models = sections_in(field.annotation)
         below += [(inner, _path(path, name, field, inner, models)) for inner in models]
         if name != "kind" and not (models and _default(field) == "see below"):
             yield f"- `{name}`: {_plain(field.description)}\\\n  {_allowed(field)}"
