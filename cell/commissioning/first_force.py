@@ -59,22 +59,18 @@ _TICK_S = 0.08
 """Time in s of grip control between two checks of the person's answer."""
 
 
-Period = tuple[Cycle, Sequence[TactileFrame]]
-"""One period of the force loop and the tactile frames that came in it."""
-
-
-def _forces_n(periods: Sequence[Period]) -> NDArray[np.float64]:
+def _forces_n(periods: Sequence[Cycle]) -> NDArray[np.float64]:
     """Return the measured force of finger 0 and 1 in N of each period with a set-point.
 
     (n, 2) float64, NaN without a sample.
     """
     none = (np.nan, np.nan)
-    pressed = [cycle for cycle, _ in periods if cycle.setpoint_n > 0.0]
+    pressed = [cycle for cycle in periods if cycle.setpoint_n > 0.0]
     rows = [none if cycle.force is None else cycle.force.force_n for cycle in pressed]
     return np.array(rows, dtype=np.float64).reshape(-1, 2)
 
 
-def _grip_n(periods: Sequence[Period]) -> NDArray[np.float64]:
+def _grip_n(periods: Sequence[Cycle]) -> NDArray[np.float64]:
     """Return the mean measured force of both fingers in N; 0 without samples."""
     grip_n = _forces_n(periods).mean(axis=1)
     known = grip_n[np.isfinite(grip_n)]
@@ -151,7 +147,7 @@ class _Trial:
     hand: Hand
     left: WizardAborted | None = field(default=None, init=False)
     """The error of the person who left, or None."""
-    periods: list[Period] = field(default_factory=list, init=False)
+    periods: list[Cycle] = field(default_factory=list, init=False)
     """Periods of all motions so far."""
     homing: dict[int, int] = field(default_factory=dict, init=False)
     """Homing offset of each servo, by its ID."""
@@ -318,9 +314,9 @@ class _Trial:
                 "commission --redo pads_law`), and the linkage for friction."
             )
 
-    def __call__(self, cycle: Cycle, frames: Sequence[TactileFrame] = ()) -> None:
+    def __call__(self, cycle: Cycle, _frames: Sequence[TactileFrame] = ()) -> None:
         """Keep one period of the loop, and show it if the last shown one is old enough."""
-        self.periods.append((cycle, frames))
+        self.periods.append(cycle)
         if self.left is not None or cycle.t_s < self._due_s:
             return
         self._due_s = cycle.t_s + LIVE_CALL_S
@@ -331,7 +327,7 @@ class _Trial:
             self.left = left
             self.hand.request_stop()
 
-    def hold(self, force_n: float, duration_s: float) -> list[Period]:
+    def hold(self, force_n: float, duration_s: float) -> list[Cycle]:
         """Hold the part with a force in N for a time in s, and return the periods of it."""
         begun = len(self.periods)
         self.hand.hold_at(force_n, duration_s, self)

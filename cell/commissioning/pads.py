@@ -19,7 +19,7 @@ from cell.commissioning.findings import Notes
 from cell.commissioning.unit import unit_sensor
 from cell.config.model import CellConfig
 from cell.config.tactile import LinearCalibrationConfig, TableCalibrationConfig, TactileConfig
-from cell.errors import ConfigError
+from cell.errors import ConfigError, raised_as
 from cell.hand.local import sensor_settings
 from tactile.control_unit.node import Mounting
 from tactile.errors import TareRefused
@@ -534,11 +534,9 @@ def judge_law(
     each load, by finger. Raises StepFailed if the loads show no law.
     """
     both = [load for of_finger in loads for load in of_finger if load[0] >= _LEAST_LOAD_N]
-    try:
+    where = "No law can be found; press on the middle of each pad"
+    with raised_as(StepFailed, ValueError, where=where):
         *fits, (factor, residual_n) = (fit_factor(one) for one in (*loads, both))
-    except ValueError as error:
-        text = f"No law can be found: {error}. Press on the middle of each pad."
-        raise StepFailed(text) from error
     notes.values |= {"loads_n": [[*map(list, one)] for one in loads], "factor": factor}
     notes.fact(
         f"{len(both)} loads up to {max(both)[0]:.1f} N: the pads show "

@@ -190,12 +190,9 @@ class CellConfig(Section):
     def _check_motion(self, most_n: float) -> None:
         """Refuse a gripper that cannot move, stop below its cap or reach the requested forces."""
         for name in ("aperture_open_mm", "aperture_min_mm"):
-            try:
+            where = f"gripper.{name} is beyond gripper.linkage, its lengths and offset_mm"
+            with raised_as(ValueError, LimitExceeded, where=where):
                 self.linkage.angles_rad(1e-3 * getattr(self.gripper, name))
-            except LimitExceeded as error:
-                raise ValueError(
-                    f"gripper.{name} is beyond gripper.linkage, its lengths and offset_mm: {error}"
-                ) from error
         with raised_as(ValueError, LimitExceeded, where="gripper"):
             ramp = ramp_from_config(self.sequence.ramp, most_n)
             check_ramp(ramp, self.gripper_settings, self.linkage)

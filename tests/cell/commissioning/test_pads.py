@@ -170,7 +170,7 @@ def test_without_a_scale_the_forces_are_unchecked(make_stand: MakeStand) -> None
     [
         ([[(1.0, 1.0), (3.0, 0.4), (6.0, 6.0)]] * 2, "do not fit one law"),
         ([[(1.0, 2.0), (3.0, 3.0), (6.0, 3.6)]] * 2, "do not fit one law"),
-        ([[(1.0, 0.0), (3.0, 0.0)]] * 2, "No law can be found: the pads show no force"),
+        ([[(1.0, 0.0), (3.0, 0.0)]] * 2, "the middle of each pad: the pads show no force"),
     ],
 )
 def test_loads_that_are_no_law_fail(loads, named: str) -> None:
