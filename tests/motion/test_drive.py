@@ -52,23 +52,6 @@ def test_every_way_of_homing_gives_true_positions(make_drive, homing, home) -> N
     assert max(gaps_s) < 0.02  # the cell is looked after while an axis moves
 
 
-def test_the_speed_is_that_of_the_profile(make_drive) -> None:
-    bench = make_drive(homing=None)
-    bench.move(-0.015)
-    fastest = 0.0
-
-    def look(_now_s: float) -> None:
-        nonlocal fastest
-        fastest = max(fastest, abs(bench.simulated.motion.speed))
-
-    bench.clock.on_advance.append(look)
-    began_s = bench.clock.monotonic()
-    bench.move(0.015)
-    assert fastest == pytest.approx(50_000, rel=1e-6)
-    # 30 mm at 50 mm/s, 0.1 s of acceleration and as much of braking.
-    assert bench.clock.monotonic() - began_s == pytest.approx(0.7, abs=0.05)
-
-
 @pytest.mark.parametrize("x_m", [0.0201, -0.0201, float("nan"), float("inf")])
 def test_nothing_moves_beyond_a_limit(make_drive, x_m) -> None:
     bench = make_drive(homing=None)

@@ -143,6 +143,7 @@ CAN = PORT + "tactile: {interface: socketcan, channel: can0}\n"
             "sequence:\n  x_mm: [3, 1]\n",
             ["sequence.x_mm: [3, 1] is not [low, high] with -100 <= low"],
         ),
+        ("sequence: {regrasp: none, force_n: [1.7, 8]}\n", ["contact_force_n = 0.6 N times 3"]),
         ("gripper: {port: /dev/ttyUSB0}\n", ["must all be `simulated` or all be real"]),
         (PORT + "tactile: {interface: socketcan}\n", ["tactile.channel is empty"]),
         (CAN, ["positioner.kind is simulated but the cell is not"]),

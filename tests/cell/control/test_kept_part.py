@@ -14,7 +14,7 @@ from cell.control.live import LiveValues
 from cell.control.plan import GraspStep, Keep, Pose
 from cell.control.positioner import Destination, HostPlaces, OperatorPositioner
 from cell.control.states import CellState, GraspState
-from cell.errors import CellStopped, ConfigError, PositionerError, RecordingError
+from cell.errors import CellStopped, PositionerError, RecordingError
 from cell.hand.local import LocalHand
 from gripper.errors import PartLost, PartSlipped
 from gripper.values.state import GripperPhase
@@ -197,15 +197,6 @@ def test_without_a_fixture_further_ramps_are_taken_in_the_same_grip(make_bench) 
     assert min(held_n) > 0.5
     assert answer.posteriors[1].dependence > answer.posteriors[0].dependence
     assert (bench.life.state, bench.grip_n) == (CellState.IDLE, 0.0)
-
-
-def test_forces_of_the_config_that_could_not_hold_a_part_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"carry_force_n is 0\.3 N; it must be at least"):
-        quick_config(sequence__carry_force_n=0.3)
-    with pytest.raises(ConfigError, match=r"gripper: the ramp asks for 14\.9 N, the limit is"):
-        quick_config(sequence__carry_force_n=14.9)
-    with pytest.raises(ConfigError, match=r"contact_force_n = 0\.6 N times 3"):
-        quick_config(sequence__regrasp="none", sequence__force_n=[1.7, 8.0])
 
 
 # -- faults of a carry -----------------------------------------------------------------------

@@ -101,24 +101,6 @@ def test_no_contact_and_contact_without_a_surface_are_unknown_and_uniform(rng):
         MeanFrames.of(tip_only).level()
 
 
-def test_arrays_hold_all_that_was_learnt(rng):
-    taught = LevelCheckTrainer().fit(_taught(PINCH, rng))
-    arrays = taught.to_arrays()
-    assert all(array.dtype.kind in "iufU" for array in arrays.values())
-    again = LevelCheckRecognizer.from_arrays(arrays)
-    assert again.force_n == taught.force_n
-    grasp = _grasp(PINCH, 0.4, rng)
-    first, second = taught.posterior(grasp), again.posterior(grasp)
-    assert np.array_equal(first.probability, second.probability)
-    assert first.unknown == second.unknown
-    with pytest.raises(ValueError, match="lacks the array 'mean'"):
-        LevelCheckRecognizer.from_arrays({k: v for k, v in arrays.items() if k != "mean"})
-    with pytest.raises(ValueError, match="version 99"):
-        LevelCheckRecognizer.from_arrays({**arrays, "version": np.array(99)})
-    with pytest.raises(ValueError, match="mean has shape"):
-        LevelCheckRecognizer.from_arrays({**arrays, "mean": np.array([1.0])})
-
-
 def test_other_pads_are_refused(rng):
     taught = LevelCheckTrainer().fit(_taught(PINCH, rng))
     with pytest.raises(ValueError, match="with full scale 255, taught were"):
