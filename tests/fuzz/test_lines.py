@@ -1,17 +1,14 @@
-"""Bad bytes on the lines: CAN messages, a serial CAN adapter, SDO, the servo bus, Modbus."""
+"""Bad bytes on the lines: CAN messages, a serial CAN adapter, the servo bus, Modbus."""
 
 import asyncio
 import contextlib
 import os
 import re
 import struct
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing, suppress
 from itertools import pairwise
 
-import can
-import canopen
 import numpy as np
 import pytest
 from hypothesis import strategies as st
@@ -29,6 +26,7 @@ from gripper.dynamixel.protocol2 import CheckedPacketHandler, StatusPacket
 from gripper.dynamixel.serial_port import SdkPort
 from gripper.errors import GripperError
 from simulator.can.messages import BurstFormat, force_bytes
+from simulator.clock import VirtualClock
 from simulator.servo.protocol2 import (
     Instruction,
     crc16,
@@ -36,15 +34,13 @@ from simulator.servo.protocol2 import (
     unstuff,
 )
 from tactile.can.bus import BulkSlcanBus
-from tactile.can.sdo_client import MAX_OBJECT_BYTES, PolledSdoClient
-from tactile.control_unit import object_dictionary as od
-from tactile.errors import NodeMissing
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat
 from tactile.frames.force_message import ForceStream
 from tactile.layout import paper_layout
 from tactile.source import ForceMessage, ForceStatus, TactileFrame
-from tests.fuzz.harness import Clock, bad_input, damages, disturbed, pieces, spoilt
+from tests.fuzz.harness import bad_input, damages, disturbed, pieces, spoilt
+from tests.gripper.conftest import ScriptedStream
 
 NODE = 5
 SMALL = FrameFormat(n_taxels=8, sample_bytes=2)
@@ -109,63 +105,6 @@ def test_force_messages_are_those_that_came_each_once(sent, harm):
         (statistics.received, statistics.repeated, statistics.late, statistics.damaged)
     )
     return "all are used" if len(taken) == len(messages) else "some are dropped"
-
-
-class QuietBus(can.BusABC):
-    """A bus that takes everything; `on_send` answers."""
-
-    def __init__(self) -> None:
-        super().__init__("quiet")
-        self.on_send: Callable[[bytes], None] = lambda data: None
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        self.on_send(bytes(msg.data))
-
-
-@pytest.fixture
-def bus() -> Iterator[QuietBus]:
-    made = QuietBus()
-    yield made
-    made.shutdown()
-
-
-def read(bus: QuietBus, answer: Callable[[bytes], list[bytes]]) -> str:
-    """Return the device name as our client reads it; `answer` gives the responses to a request."""
-    clock = Clock()
-    client = PolledSdoClient(
-        NODE,
-        od.of_node(NODE),
-        name="the unit",
-        clock=clock,
-        service=lambda: None,
-        wait=clock.sleep,
-        timeout_s=0.1,
-    )
-    client.network = canopen.Network(bus)
-    n_requests = 0
-
-    def respond(request: bytes) -> None:
-        nonlocal n_requests
-        n_requests += 1
-        assert n_requests < 20_000
-        for data in answer(request):
-            client.on_response(0x580 + NODE, data, 0.0)
-
-    bus.on_send = respond
-    name: str = client["Manufacturer device name"].raw
-    return name
-
-
-def test_an_object_without_an_end_is_given_up(bus: QuietBus) -> None:
-    head = b"\x41\x08\x10" + bytes(5)
-    with pytest.raises(NodeMissing, match=f"more than {MAX_OBJECT_BYTES} bytes"):
-        read(bus, lambda r: [head if r[0] == 0x40 else bytes((r[0] & 0x10, *bytes(7)))])
-
-
-def test_an_object_shorter_than_announced_is_refused(bus: QuietBus) -> None:
-    answers = iter([b"\x41\x08\x10\0\x14\0\0\0", b"\x0da" + bytes(6)] * 3)
-    with pytest.raises(NodeMissing, match="1 bytes came, 20 were announced"):
-        read(bus, lambda _: [next(answers)])
 
 
 _DATA = re.compile(
@@ -275,36 +214,22 @@ STUFFED = (b"\xff", b"\xff\xfd", b"\xff\xff\xfd", b"\0", b"\xfd", b"\x55")
 REGISTERS = (CURRENT_LIMIT, FIRMWARE_VERSION, HOMING_OFFSET, VELOCITY_LIMIT)
 
 
-class Line:
+class Line(ScriptedStream):
     """A serial line on which bytes arrive at their times, and the host's receiver behind it."""
 
     def __init__(self) -> None:
-        self.clock = Clock()
-        self.queue: deque[tuple[float, bytes]] = deque()
+        super().__init__(VirtualClock())
         self.answer = lambda request: None
         self.handler = CheckedPacketHandler()
         self.port = SdkPort(self, self.clock, baudrate=BAUD, return_delay_s=0.0, allowance_s=0.0)
 
     def arrive(self, data: bytes, at_s: float = 0.0) -> None:
         if data:
-            self.queue.append((max(at_s, self.queue[-1][0] if self.queue else 0.0), data))
+            before_s = self.arriving[-1][0] if self.arriving else 0.0
+            self.arriving.append((max(at_s, before_s), data))
 
     def write(self, data: bytes, /) -> None:
         self.answer(data)
-
-    def read(self, size: int, timeout_s: float, /) -> bytes:
-        if not self.queue or self.queue[0][0] > self.clock.now_s + timeout_s:
-            self.clock.now_s += timeout_s
-            return b""
-        at_s, data = self.queue.popleft()
-        self.clock.now_s = max(self.clock.now_s, at_s)
-        if len(data) > size:
-            self.queue.appendleft((at_s, data[size:]))
-        return data[:size]
-
-    def drop_input(self) -> None:
-        while self.queue and self.queue[0][0] <= self.clock.now_s:
-            self.queue.popleft()
 
     def receive(self) -> StatusPacket | None:
         self.port.start_timeout(0.001)
@@ -375,7 +300,7 @@ def test_a_register_is_read_as_it_was_sent_or_not_at_all(register, data, script)
         body = b"\xfc\x03\x2d" if request[7] == Instruction.PING else data[: register.size]
         packet = spoilt(encode_status(servo_id, error, body), harm)
         wire.extend(packet)
-        line.arrive(packet, line.clock.now_s + late_s)
+        line.arrive(packet, line.clock.monotonic() + late_s)
 
     line.answer = answer
     try:

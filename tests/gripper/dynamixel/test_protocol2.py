@@ -39,33 +39,16 @@ def test_a_packet_is_found_whole_or_not_at_all(
     assert handler.receive(port) is None
 
 
-class Wire:
-    """A port that keeps what is written."""
-
-    def __init__(self) -> None:
-        self.is_using = False
-        self.sent = b""
-
-    def clearPort(self) -> None:  # noqa: N802
-        pass
-
-    def writePort(self, packet: bytes) -> int:  # noqa: N802
-        self.sent += bytes(packet)
-        return len(packet)
-
-
-def test_the_sdk_itself_sends_the_stuffed_write_wrongly_and_ours_rightly() -> None:
+def test_the_sdk_itself_sends_the_stuffed_write_wrongly_and_ours_rightly(script, clock) -> None:
     data = list((-131073).to_bytes(4, "little", signed=True))
-    theirs, ours = Wire(), Wire()
-    Protocol2PacketHandler().writeTxOnly(theirs, 1, 116, 4, data)
-    CheckedPacketHandler().writeTxOnly(ours, 1, 116, 4, data)
-    assert theirs.sent.hex() == "fffffd00010900037400fffffdffcb05"
-    assert ours.sent.hex() == "fffffd00010a00037400fffffdfdff23e5"
+    script.expect("fffffd00010900037400fffffdffcb05").expect("fffffd00010a00037400fffffdfdff23e5")
+    for handler in (Protocol2PacketHandler(), CheckedPacketHandler()):
+        handler.writeTxOnly(SdkPort(script, clock), 1, 116, 4, data)
 
 
-def test_a_port_in_use_is_busy() -> None:
-    wire = Wire()
-    wire.is_using = True
-    assert CheckedPacketHandler().txPacket(wire, [0] * 10) == COMM_PORT_BUSY
+def test_a_port_in_use_is_busy(script, clock) -> None:
+    port = SdkPort(script, clock)
+    port.is_using = True
+    assert CheckedPacketHandler().txPacket(port, [0] * 10) == COMM_PORT_BUSY
     with pytest.raises(BusBusy):
-        CheckedPacketHandler().send(wire, 1, Instruction.PING, b"")
+        CheckedPacketHandler().send(port, 1, Instruction.PING, b"")

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import SimpleNamespace
 from typing import Any
 
 import flexitac
@@ -69,19 +70,11 @@ def test_the_foreign_package_and_our_reader_agree_frame_by_frame(profile, tmp_pa
         np.testing.assert_allclose(mine, np.mean(theirs, axis=0).ravel(), atol=1.5)
 
 
-class Pressed:
-    """A world with one force on one taxel."""
-
-    def __init__(self) -> None:
-        self.force_n = np.zeros(LAYOUT.n_taxels)
-
-    def measured_force_n(self) -> Any:
-        return self.force_n
-
-
 @pytest.fixture
-def world() -> Pressed:
-    return Pressed()
+def world() -> Any:
+    """A world with forces on taxels."""
+    force_n = np.zeros(LAYOUT.n_taxels)
+    return SimpleNamespace(force_n=force_n, measured_force_n=lambda: force_n)
 
 
 def pads(world: Any, **law: Any) -> ResistivePads:

@@ -148,6 +148,19 @@ def test_a_unit_that_does_not_come_up_alone_is_a_missing_node(idle, spoil, says)
         idle.link.start()
 
 
+@pytest.mark.parametrize(
+    ("size", "segments", "says"),
+    [(0, ["00", "10"] * 7 + ["00"], "more than 100 bytes"), (20, ["0d"], "1 bytes came, 20 were")],
+)
+def test_an_object_without_its_end_is_given_up(idle, monkeypatch, size, segments, says) -> None:
+    monkeypatch.setattr("tactile.can.sdo_client.MAX_OBJECT_BYTES", 100)
+    heads = [struct.pack("<BHBL", 0x41, 0x1018, 1, size), *map(bytes.fromhex, segments)]
+    answers = itertools.cycle(head.ljust(8, b"\0") for head in heads)
+    idle.alter(0x580 + NODE, lambda _burst: [next(answers)])
+    with pytest.raises(NodeMissing, match=says):
+        idle.link.start()
+
+
 def lean(data: bytes) -> bytes:
     """Return an SDO answer without its unused bytes."""
     expedited = {0x4F: 5, 0x4B: 6, 0x60: 4, 0x20: 1, 0x30: 1}
