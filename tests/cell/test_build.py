@@ -4,6 +4,7 @@ import json
 from contextlib import closing
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -488,78 +489,57 @@ def test_friction_that_holds_a_force_is_no_frozen_sensor() -> None:
     assert sensor_settings(TactileConfig(), 14.0).force_step_n > 4.0
 
 
-class Line:
-    """An end that counts how often it was closed; stands for a stream and for a bus."""
-
-    def __init__(self) -> None:
-        self.closed = 0
-
-    def close(self) -> None:
-        self.closed += 1
-
-    shutdown = close
+NO_PORT, NO_BUS = PortLost("no port"), BusNotOpened("no bus")
 
 
-class Openers:
-    """Both openers, each of which can fail."""
-
-    def __init__(self, *failing: str) -> None:
-        self.failing = set(failing)
-        self.made: list[Line] = []
-
-    def servos(self) -> Any:
-        return self._open("servos", PortLost("no port"))
-
-    def can(self) -> Any:
-        return self._open("can", BusNotOpened("no bus"))
-
-    def _open(self, name: str, error: Exception) -> Line:
-        if name in self.failing:
-            raise error
-        self.made.append(Line())
-        return self.made[-1]
+@pytest.fixture
+def openers() -> tuple[Mock, Mock]:
+    """What opens the line of the servos, and the CAN bus."""
+    return Mock(return_value=Mock(["close"])), Mock(return_value=Mock(["shutdown"]))
 
 
-@pytest.mark.parametrize(("failing", "error"), [("servos", PortLost), ("can", BusNotOpened)])
-def test_a_line_that_is_missing_is_refused_and_the_other_one_given_back(failing, error) -> None:
-    openers = Openers(failing)
-    with pytest.raises(error):
-        HandConnections(openers.servos, openers.can)
-    assert all(line.closed == 1 for line in openers.made)
+@pytest.mark.parametrize("error", [NO_PORT, NO_BUS], ids=str)
+def test_a_line_that_is_missing_is_refused_and_the_other_one_given_back(openers, error) -> None:
+    servos, can = openers
+    (servos if error is NO_PORT else can).side_effect = error
+    with pytest.raises(type(error)):
+        HandConnections(servos, can)
+    assert can.return_value.shutdown.call_count == servos.call_count == (error is NO_PORT)
 
 
-def test_one_line_may_be_missing_where_that_is_allowed_but_not_both() -> None:
-    openers = Openers("servos")
-    lines = HandConnections(openers.servos, openers.can, partial=True)
+def test_one_line_may_be_missing_where_that_is_allowed_but_not_both(openers) -> None:
+    servos, can = openers
+    servos.side_effect = NO_PORT
+    lines = HandConnections(servos, can, partial=True)
     assert lines.notes == (f"{MISSING}no port",)
     for use in (lambda: lines.stream.write(b""), lambda: lines.stream.read(1, 0.0)):
         with pytest.raises(PortLost, match="no port"):
             use()
-    openers.failing.clear()
-    assert lines.reopen_servos() is openers.made[-1]
+    servos.side_effect = None
+    assert lines.reopen_servos() is servos.return_value
     assert (lines.notes, lines.servos_are_missing) == ((), False)
 
-    openers = Openers("can")
-    lines = HandConnections(openers.servos, openers.can, partial=True)
+    can.side_effect = NO_BUS
+    lines = HandConnections(servos, can, partial=True)
     assert lines.notes == (f"{MISSING}no bus",)
     with pytest.raises(BusNotOpened):
         lines.reopen_can()
-    openers.failing.clear()
-    assert lines.reopen_can() is openers.made[-1]
+    can.side_effect = None
+    assert lines.reopen_can() is can.return_value
     assert lines.notes == ()
     lines.close()
-    assert [line.closed for line in openers.made] == [1, 1]
+    assert servos.return_value.close.call_count == can.return_value.shutdown.call_count == 1
 
-    openers = Openers("servos", "can")
+    servos.side_effect, can.side_effect = NO_PORT, NO_BUS
     with pytest.raises(PortLost, match="no port; no bus"):
-        HandConnections(openers.servos, openers.can, partial=True)
+        HandConnections(servos, can, partial=True)
 
 
-def test_ends_of_somebody_else_are_not_closed() -> None:
-    openers = Openers()
-    stream, bus = openers.servos(), openers.can()
-    lines = HandConnections(openers.servos, openers.can, stream=stream, can_bus=bus)
+def test_ends_of_somebody_else_are_not_closed(openers) -> None:
+    (servos, can), stream, bus = openers, Mock(), Mock()
+    lines = HandConnections(servos, can, stream=stream, can_bus=bus)
     assert (lines.stream, lines.can_bus) == (stream, bus)
-    assert lines.reopen_servos() is not stream
+    assert lines.reopen_servos() is servos.return_value
     lines.close()
-    assert [line.closed for line in openers.made] == [0, 0, 0]
+    for close in (stream.close, bus.shutdown, servos.return_value.close):
+        close.assert_not_called()

@@ -29,7 +29,7 @@ G_PER_N = 1e3 / 9.80665
 SCALE_N_M = 2e4
 
 
-class SimulatedBench:
+class SimulatedBench(LineOpener):
     """A servo with an arm over a scale or free; and a person who sets it up."""
 
     def __init__(self, model: str = "XM430-W350", n_servos: int = 1) -> None:
@@ -74,6 +74,10 @@ class SimulatedBench:
             self.mechanics.step((now_s - self._last_s) / n, (0.5 * force,) * 2, (0.5 * slope,) * 2)
         self._last_s = now_s
         self.device.advance_to(now_s)
+
+    def open_serial(self, _port: str, baud_rate: int) -> ByteStream:
+        self.device.baudrate = baud_rate
+        return MemoryServoStream(self.device, self.clock)
 
     def put(self, place: str) -> None:
         """Set the arm up."""
@@ -199,18 +203,6 @@ def test_a_hot_servo_ends_its_step(tmp_path: Path) -> None:
     assert not bench.servo.torque_on
 
 
-class OneLine(LineOpener):
-    """The line of a simulated bench."""
-
-    def __init__(self, bench: SimulatedBench) -> None:
-        self.clock = bench.clock
-        self._bench = bench
-
-    def open_serial(self, _port: str, baud_rate: int) -> ByteStream:
-        self._bench.device.baudrate = baud_rate
-        return MemoryServoStream(self._bench.device, self._bench.clock)
-
-
 @pytest.mark.parametrize(
     ("n_servos", "torque", "refused"),
     [(1, 0, None), (2, 0, "several servos answer"), (1, 1, "has torque")],
@@ -220,7 +212,7 @@ def test_one_servo_alone_and_without_torque(
 ) -> None:
     bench = SimulatedBench(n_servos=n_servos)
     bench.servo.set_torque(on=bool(torque))
-    lines = Bench(tmp_path, OneLine(bench))
+    lines = Bench(tmp_path, bench)
     script = Script(replies={"servo.press": "-1"})
     if refused is None:
         with open_rig(lines, "/dev/ttyUSB0", script) as rig:

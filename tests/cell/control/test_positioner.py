@@ -21,7 +21,7 @@ from cell.control.positioner import (
     SocketPlacer,
 )
 from cell.control.states import CellState
-from cell.errors import CellStateError, CellStopped, PositionerError, PositionerFault
+from cell.errors import CellStateError, PositionerError, PositionerFault
 from gripper.values.state import GripperPhase
 from tests.cell.conftest import MakeBench, once, quick_config
 from tests.faults.campaign import CHANGES
@@ -263,20 +263,6 @@ def test_a_drive_that_fails_in_a_carry_leaves_the_part_in_the_grip(
     bench.sleep(1.0)
     assert bench.grip_n > 1.0
     assert not any(axis.moving for axis in bench.simulated.devices.axes.values())
-
-
-@pytest.mark.slow
-def test_a_cancel_stops_the_axes_on_their_way(bench: Any) -> None:
-    bench.ready().grasp(3.0, Pose(x_m=-5e-3))
-    axes = bench.simulated.devices.axes
-    once(bench.clock, lambda: axes["x"].moving, bench.controller.life.cancel)
-    with pytest.raises(CellStopped):
-        bench.grasp(3.0, Pose(x_m=5e-3))
-    assert not any(axis.moving for axis in axes.values())
-    assert axes["x"].position < 0.0
-    assert bench.controller.life.state is CellState.HELD
-    bench.controller.release()
-    assert bench.grasp(3.0, Pose(x_m=5e-3)).reached.x_m == pytest.approx(5e-3, abs=NEAR_M)
 
 
 def test_a_person_brings_the_object_where_nothing_is_simulated() -> None:

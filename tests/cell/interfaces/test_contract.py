@@ -495,24 +495,11 @@ def test_a_taken_port_names_the_key_that_sets_another(serve, interface: str) -> 
             pass
 
 
-class Ended:
-    """An interface that serves nobody."""
-
-    def __init__(self) -> None:
-        self._over = threading.Event()
-
-    async def serve(self) -> None:
-        while not self._over.is_set():
-            await asyncio.sleep(0)
-
-    def end(self) -> None:
-        self._over.set()
-
-
 def test_an_interface_that_dies_is_a_problem_and_its_error_is_shown(serve, caplog) -> None:
-    service = serve().service
+    service, over = serve().service, threading.Event()
+    idle = SimpleNamespace(serve=lambda: asyncio.to_thread(over.wait), end=over.set)
     broken = SimpleNamespace(serve=AsyncMock(side_effect=OSError("no more files")), end=Mock())
-    with running(service, {"modbus_port": broken, "http_port": Ended()}):
+    with running(service, {"modbus_port": broken, "http_port": idle}):
         until(lambda: "serve.modbus_port has ended" in service.problem)
     assert "no more files" in caplog.text
 
