@@ -40,6 +40,17 @@ class Format(NamedTuple):
             named = "it names no format" if text is None else f"its format is {str(text)!a:.60}"
             raise error(f"{source}: {named}, but {PROGRAM} reads {self}; {self.remedy}")
 
+    def read(self, text: str | bytes, source: object, error: type[CellError]) -> dict[str, Any]:
+        """Return a JSON object that names this format; raises ``error`` for anything else."""
+        try:
+            values = json.loads(text)
+        except (ValueError, RecursionError) as cause:
+            raise error(f"{source} is damaged, it is not JSON; {self.remedy}") from cause
+        if not isinstance(values, dict):
+            raise error(f"{source} is not a {self.what}: it has no object; {self.remedy}")
+        self.check(values.get("format"), source, error)
+        return values
+
 
 _SAME = "use the tactile-cell that wrote it"
 CONFIG = Format("config", "tactile-cell-config/1", "write that, or leave the key out")
@@ -114,13 +125,7 @@ def read_json(path: Path, kind: Format, *, error: type[CellError]) -> dict[str, 
         if isinstance(refused.__cause__, FileNotFoundError):
             return None
         raise
-    try:
-        values = json.loads(data)
-    except (ValueError, RecursionError) as cause:
-        raise error(f"{path} is damaged, it is not JSON; {kind.remedy}") from cause
-    if not isinstance(values, dict):
-        raise error(f"{path} is not a {kind.what}: it has no object; {kind.remedy}")
-    kind.check(values.get("format"), path, error)
+    values = kind.read(data, path, error)
     stated = values.pop(_CHECKSUM, None)
     if stated != _digest(values):
         raise error(f"{path} is damaged, its checksum is wrong; {kind.remedy}")

@@ -57,11 +57,7 @@ class Archive:
             self._root = root.rstrip("/")
             head = f"{self._root}/{HEAD}"
             if self._fs.exists(head):
-                try:
-                    form = json.loads(self._fs.cat_file(head)).get("format")
-                except (ValueError, AttributeError):
-                    form = None
-                ARCHIVE.check(form, target, ArchiveError)
+                ARCHIVE.read(self._fs.cat_file(head), target, ArchiveError)
             elif not create:
                 raise ArchiveError(
                     f"{target} is not an archive; `tactile-cell archive add RECORDINGS --to "

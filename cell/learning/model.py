@@ -206,13 +206,7 @@ def _header(path: Path, arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
         )
     if text is None or text.dtype.kind != "U" or text.shape != ():
         raise ModelError(f"{path} is not a model file: it has no header; train a model first")
-    try:
-        header = json.loads(str(text))
-    except (ValueError, RecursionError) as cause:
-        raise ModelError(f"{path}: its header is not JSON ({cause})") from cause
-    if not isinstance(header, dict):
-        raise ModelError(f"{path}: its header is not an object; {MODEL.remedy}")
-    MODEL.check(header.get("format"), path, ModelError)
+    header = MODEL.read(str(text), path, ModelError)
     rest = {name: array for name, array in arrays.items() if name != _HEADER}
     if header.get("sha256") != _digest(rest):
         raise ModelError(f"{path}: its arrays do not have its checksum; take another copy of it")

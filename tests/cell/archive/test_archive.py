@@ -236,7 +236,7 @@ def test_other_places_are_refused(tmp_path) -> None:
     with pytest.raises(ArchiveError, match=r"is not an archive; `tactile-cell archive"):
         Archive(str(tmp_path))
     (tmp_path / "_archive.json").write_text("[")
-    with pytest.raises(ArchiveError, match="names no format"):
+    with pytest.raises(ArchiveError, match="is damaged, it is not JSON"):
         Archive(str(tmp_path))
     with pytest.raises(ArchiveError, match="is not there"):
         sources([tmp_path / "nowhere"])

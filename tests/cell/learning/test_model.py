@@ -138,7 +138,7 @@ def test_model_of_another_version_is_refused(change, says, learnt, tmp_path, mon
         ({"model": np.zeros(3)}, "it has no header"),
         ({"model": np.array("{")}, "not JSON"),
         ({"model": np.array("[" * 100_000)}, "not JSON"),
-        ({"model": np.array("[1]")}, "not an object"),
+        ({"model": np.array("[1]")}, "it has no object"),
     ],
 )
 def test_what_is_no_model_is_refused(arrays, says, tmp_path) -> None:
