@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -108,9 +109,14 @@ def checked_label(label: str) -> str:
 
 
 def write_json(path: Path, kind: Format, content: Any, *, error: type[CellError]) -> None:
-    """Write a mapping or dataclass as JSON with format and checksum; see `write_text`."""
+    """Write a mapping or dataclass as JSON with format and checksum; see `write_text`.
+
+    A missing folder is created.
+    """
     values = {"format": str(kind), **json.loads(json_bytes(content))}
     text = json.dumps(values | {_CHECKSUM: _digest(values)}, indent=2) + "\n"
+    with suppress(OSError):  # The write reports the error.
+        path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, text, error=error, what=kind.what)
 
 

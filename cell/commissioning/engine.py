@@ -253,7 +253,6 @@ class Engine:
 
     def _store(self) -> None:
         content = {"steps": self.notes, "approved": self.approved}
-        self.path.parent.mkdir(parents=True, exist_ok=True)
         write_json(self.path, COMMISSIONING, content, error=CellError)
         self._fill_bench()
 

@@ -438,7 +438,6 @@ def keep(bench: Bench, dialog: Dialog, servo_id: int, registers: Mapping[str, in
         if earlier[MODEL_NUMBER.name] == registers[MODEL_NUMBER.name]:
             return
         path.rename(free_name(path))
-    bench.folder.mkdir(parents=True, exist_ok=True)
     content = {"servo_id": servo_id, "registers": registers}
     write_json(path, SERVO_BACKUP, content, error=CellError)
     dialog.say(f"backup of servo {servo_id}: {path}")

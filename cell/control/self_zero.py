@@ -3,7 +3,6 @@
 import math
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import KW_ONLY, asdict, dataclass, field, replace
 from datetime import date
 from pathlib import Path
@@ -230,8 +229,6 @@ class SelfZeros:
             "drives": {str(servo_id): drive for servo_id, drive in self.drives.items()},
         }
         try:
-            with suppress(OSError):  # The write reports the error.
-                self.path.parent.mkdir(parents=True, exist_ok=True)
             write_json(self.path, SELF_ZERO, content, error=CellError)
         except CellError as error:
             self.unkept = f"today's self-zero could not be saved for other programs: {error}"
