@@ -396,16 +396,6 @@ def velocity(rig: Rig, _dialog: Dialog) -> Values:
     }
 
 
-class _Load(NamedTuple):
-    """One weighing: currents in A, torque in N m, PWM as a share, voltage of the winding in V."""
-
-    register_a: float
-    motor_a: float
-    torque_nm: float
-    pwm_share: float
-    winding_v: float
-
-
 def scale(rig: Rig, dialog: Dialog) -> Values:
     """Measure the torque of rising and falling currents with weights.
 
@@ -414,35 +404,33 @@ def scale(rig: Rig, dialog: Dialog) -> Values:
     rig.start(OperatingMode.CURRENT)
     shares = _SUPPLY_SHARES if rig.model.supply_current else _LOAD_SHARES
     amps = [share * rig.model.stall_current_a for share in shares]
-    sides: dict[str, list[_Load]] = {"rising": [], "falling": []}
-    last_a = 0.0
-    for side, currents in (("rising", amps), ("falling", amps[-2::-1])):
-        for current_a in currents:
-            part = f"{side} {current_a:.3f} A"
-            # A sudden current would throw the arm, and friction would keep the peak.
-            for between_a in np.linspace(last_a, current_a, _RAMPED + 1)[1:]:
-                rig.current(rig.press * float(between_a))
-                rig.watch(part, 1.0 / _RAMPED)
-            last_a = current_a
-            rows = rig.watch(part, 1.0)
-            if rig.read("hardware_error_status"):
-                raise StepFailed(f"the servo has tripped at {current_a:.3f} A: let it cool")
-            torque_nm = weighed_nm(dialog, f"scale.{side}.{1e3 * current_a:.0f}", part)
-            share, register_a = abs(rows.pwm_share.mean()), abs(rows.current_a.mean())
-            motor_a, volts = winding_a(rig, register_a, share), share * rows.voltage_v.mean()
-            sides[side].append(_Load(register_a, motor_a, torque_nm, share, volts))
-    most_nm = sides["rising"][-1].torque_nm
+    weighings, last_a = list[tuple[float, ...]](), 0.0
+    for current_a in (*amps, *amps[-2::-1]):
+        side = "rising" if current_a > last_a else "falling"
+        part = f"{side} {current_a:.3f} A"
+        # A sudden current would throw the arm, and friction would keep the peak.
+        for between_a in np.linspace(last_a, current_a, _RAMPED + 1)[1:]:
+            rig.current(rig.press * float(between_a))
+            rig.watch(part, 1.0 / _RAMPED)
+        last_a = current_a
+        rows = rig.watch(part, 1.0)
+        if rig.read("hardware_error_status"):
+            raise StepFailed(f"the servo has tripped at {current_a:.3f} A: let it cool")
+        torque_nm = weighed_nm(dialog, f"scale.{side}.{1e3 * current_a:.0f}", part)
+        share, register_a = abs(rows.pwm_share.mean()), abs(rows.current_a.mean())
+        motor_a, volts = winding_a(rig, register_a, share), share * rows.voltage_v.mean()
+        weighings.append((register_a, motor_a, torque_nm, share, volts))
+    names = "register_a,motor_a,torque_nm,pwm_share,winding_v"
+    loads: Any = np.rec.fromrecords(weighings, formats=None, names=names)
+    rises, most_nm = np.arange(len(loads)) < len(amps), loads.torque_nm[len(amps) - 1]
     # Friction holds the first loads below, and the whole load until the current has fallen enough.
-    rising = [one for one in sides["rising"] if one.torque_nm > 0.1 * most_nm]
-    falling = [one for one in sides["falling"] if one.torque_nm < 0.9 * most_nm]
-    every = [one for one in (*rising, *falling) if one.motor_a > 0.0]
+    moves = np.where(rises, loads.torque_nm > 0.1 * most_nm, loads.torque_nm < 0.9 * most_nm)
+    rising, falling, every = (loads[moves & of] for of in (rises, ~rises, loads.motor_a > 0.0))
     return {
-        "rising_a_nm": slope([r.torque_nm for r in rising], [r.motor_a for r in rising]),
-        "falling_a_nm": slope([f.torque_nm for f in falling], [f.motor_a for f in falling]),
-        "winding_ohm": slope([one.motor_a for one in every], [one.winding_v for one in every]),
-        "duty_exponent": exponent(
-            [one.register_a for one in every], [one.pwm_share for one in every]
-        ),
+        "rising_a_nm": slope(rising.torque_nm, rising.motor_a),
+        "falling_a_nm": slope(falling.torque_nm, falling.motor_a),
+        "winding_ohm": slope(every.motor_a, every.winding_v),
+        "duty_exponent": exponent(every.register_a, every.pwm_share),
     }
 
 
