@@ -66,49 +66,31 @@ def test_a_callback_cannot_move_the_clock() -> None:
     assert clock.monotonic() == pytest.approx(0.002)
 
 
-class Machine:
-    """A real clock that only the test moves; ``slow_s`` passes with each look at it."""
-
-    def __init__(self) -> None:
-        self.now_s = 100.0
-        self.slow_s = 0.0
-        self.waits: list[float] = []
-
-    def monotonic(self) -> float:
-        self.now_s += self.slow_s
-        return self.now_s
-
-    def sleep(self, seconds: float, /) -> None:
-        self.waits.append(seconds)
-        self.now_s += seconds
-
-
 def test_a_paced_clock_has_a_speed_and_an_end() -> None:
-    clock, real = VirtualClock(), Machine()
+    clock, real = VirtualClock(), VirtualClock()
     pace = Pace(clock, real, speed=4.0)
     clock.sleep(2.0)
-    assert real.now_s - 100.0 == pytest.approx(0.5, abs=0.011)
+    assert (ended_s := real.monotonic()) == pytest.approx(0.5, abs=0.011)
     pace.end()
-    real.waits.clear()
     clock.sleep(2.0)
-    assert real.waits == []
+    assert real.monotonic() == ended_s
 
 
 def test_a_slow_machine_makes_virtual_time_run_later_and_catches_up_only_a_little() -> None:
-    clock, real = VirtualClock(), Machine()
+    clock, real = VirtualClock(), VirtualClock()
     pace = Pace(clock, real)
-    real.now_s += 0.15
+    real.sleep(0.15)
     assert pace.lag_s() == pytest.approx(0.15)
     clock.sleep(0.15)
-    assert real.waits == []
-    real.now_s += 3600.0
+    assert real.monotonic() == 0.15
+    real.sleep(3600.0)
     assert pace.lag_s() == pytest.approx(0.2)
     clock.sleep(1.2)
-    assert sum(real.waits) == pytest.approx(1.0, abs=0.011)
-    real.slow_s = 0.002
-    before_s = real.now_s
-    clock.sleep(1.0)  # each piece of 1 ms takes 2 ms of the machine: nothing is waited for
-    assert real.now_s - before_s == pytest.approx(2.0, abs=0.05)
+    assert real.monotonic() == pytest.approx(3601.15, abs=0.011)
+    # Each piece of 1 ms takes 2 ms of the machine: nothing is waited for.
+    clock.on_advance.insert(0, lambda _now_s: real.sleep(0.002))
+    clock.sleep(1.0)
+    assert real.monotonic() == pytest.approx(3603.15, abs=0.05)
     assert pace.lag_s() == pytest.approx(0.2, abs=0.01)
 
 

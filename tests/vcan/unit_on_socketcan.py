@@ -2,6 +2,7 @@
 
 import sys
 import time
+from types import SimpleNamespace
 
 import can
 import numpy as np
@@ -12,23 +13,12 @@ from tactile.layout import paper_layout
 LAYOUT = paper_layout()
 
 
-class Noise:
-    """A world in which nothing is touched."""
-
-    def __init__(self) -> None:
-        self._rng = np.random.default_rng(3)
-
-    def advance_to(self, now_s: float) -> None:
-        """Nothing moves."""
-
-    def scan(self) -> np.ndarray:
-        return self._rng.integers(1, 20, LAYOUT.n_taxels).astype(np.uint16)
-
-
 def main() -> None:
     bus = can.Bus(sys.argv[1], interface="socketcan")
     settings = ControlUnitSettings(node_id=int(sys.argv[2]), serial_number=77)
-    unit = SimulatedControlUnit(Noise(), LAYOUT, settings, start_s=time.monotonic())
+    rng = np.random.default_rng(3)
+    untouched = SimpleNamespace(scan=lambda: rng.integers(1, 20, LAYOUT.n_taxels, np.uint16))
+    unit = SimulatedControlUnit(untouched, LAYOUT, settings, start_s=time.monotonic())
 
     def send(ready_s: float, can_id: int, burst: list[bytes]) -> float:
         for data in burst:

@@ -2,8 +2,8 @@
 
 import json
 import socket
-import threading
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import asdict
 from math import radians
 from pathlib import Path
@@ -73,40 +73,28 @@ def test_host_moves_or_refuses(answer, reached: Pose | str) -> None:
 
 
 @pytest.fixture
-def serve(tmp_path: Path) -> Iterator[Callable[[list[bytes]], str]]:
-    threads: list[threading.Thread] = []
-
-    def start(replies: list[bytes]) -> str:
-        path = str(tmp_path / "s")
-        listener = socket.socket(socket.AF_UNIX)
-        listener.bind(path)
+def placed(tmp_path: Path) -> Iterator[tuple[SocketPlacer, socket.socket]]:
+    """A placer, and the end of its connection at the simulated cell."""
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / "s"))
         listener.listen(1)
-
-        def run() -> None:
-            with listener, listener.accept()[0] as peer, peer.makefile("rb") as lines:
-                for reply in replies:
-                    lines.readline()
-                    peer.sendall(reply)
-
-        threads.append(threading.Thread(target=run))
-        threads[-1].start()
-        return path
-
-    yield start
-    for thread in threads:
-        thread.join(10.0)
+        placer = SocketPlacer(str(tmp_path / "s"), timeout_s=0.05)
+        with closing(placer), listener.accept()[0] as peer:
+            yield placer, peer
 
 
-def test_socket_placer_speaks_json_lines(serve: Callable[[list[bytes]], str], tmp_path) -> None:
+def test_socket_placer_speaks_json_lines(placed, tmp_path) -> None:
     with pytest.raises(PositionerError, match="no simulated cell answers"):
         SocketPlacer(str(tmp_path / "none"))
-    reply = json.dumps({"ok": True, "pose": asdict(Pose(x_m=3e-3))}).encode() + b"\n"
-    placer = SocketPlacer(serve([reply, b'{"error": "no such object"}\n', b"nonsense\n"]))
+    placer, peer = placed
+    reply = json.dumps({"ok": True, "pose": asdict(Pose(x_m=3e-3))}).encode()
+    peer.sendall(reply + b'\n{"error": "no such object"}\nnonsense\n')
     assert placer.place("ball", POSE) == Pose(x_m=3e-3)
-    for complaint in ("no such object", "lost", r"closed|lost"):
+    asked = json.loads(peer.recv(4096).splitlines()[0])
+    assert (asked["place"], asked["pose"]["x_m"]) == ("ball", POSE.x_m)
+    for complaint in ("no such object", "lost", "lost"):
         with pytest.raises(PositionerError, match=complaint):
             placer.place("x", POSE)
-    placer.close()
 
 
 @pytest.mark.parametrize(
@@ -119,23 +107,19 @@ def test_socket_placer_speaks_json_lines(serve: Callable[[list[bytes]], str], tm
         b"\xff\xfe\n",
     ],
 )
-def test_a_reply_that_is_none_is_refused(serve: Callable[[list[bytes]], str], reply: bytes) -> None:
-    placer = SocketPlacer(serve([reply]))
+def test_a_reply_that_is_none_is_refused(placed, reply: bytes) -> None:
+    placer, peer = placed
+    peer.sendall(reply)
     with pytest.raises(PositionerError, match="simulated cell at"):
         placer.place("ball", POSE)
-    placer.close()
 
 
-def test_a_reply_that_does_not_end_is_not_waited_for(tmp_path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as listener:
-        listener.bind(str(tmp_path / "s"))
-        listener.listen(1)
-        placer = SocketPlacer(str(tmp_path / "s"), timeout_s=0.05)
-        with listener.accept()[0] as peer:
-            peer.sendall(b"{")
-            for _ in range(2):
-                with pytest.raises(PositionerError, match="is lost"):
-                    placer.place("ball", POSE)
+def test_a_reply_that_does_not_end_is_not_waited_for(placed) -> None:
+    placer, peer = placed
+    peer.sendall(b"{")
+    for _ in range(2):
+        with pytest.raises(PositionerError, match="is lost"):
+            placer.place("ball", POSE)
 
 
 # -- The positioner with axes: a sequence on axes that really move, and what it refuses ------------

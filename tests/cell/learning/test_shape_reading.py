@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -15,8 +14,9 @@ from cell.learning.taught_model import TaughtModel
 from cell.learning.training import train
 from cell.runtime.goals import IdentifyGoal
 from cell.runtime.tasks import ModelFile, Tasks
-from recognition.recognizer import UNKNOWN, Posterior
+from recognition.recognizer import UNKNOWN
 from recognition.shape.answer import UNCLEAR
+from tests.cell.conftest import SURE, Scripted
 from tests.values import make_shape
 
 BAR = make_shape("flat", 10.0, 15.9, half_mm=0.4, n_grasps=2)
@@ -74,25 +74,14 @@ def test_an_error_gives_the_threads_back() -> None:
 
 @pytest.mark.slow
 def test_training_and_answering_have_one_thread(make_bench, taught, monkeypatch) -> None:
-    seen: list[set[int]] = []
-
-    class Noting:
-        labels = ("ball", "box")
-
-        def fit(self, grasps: Any) -> "Noting":
-            seen.append(threads())
-            return self
-
-        def posterior(self, grasp: Any) -> Posterior:
-            seen.append(threads())
-            return Posterior(labels=self.labels, probability=np.array([1.0, 0.0]), unknown=0.0)
-
-    monkeypatch.setattr("cell.learning.training.RECOGNIZERS", {"force_ramp": lambda **_: Noting()})
+    noting: Any = Scripted(SURE, look=threads)
+    noting.fit = lambda _grasps: noting.seen.append(threads()) or noting
+    monkeypatch.setattr("cell.learning.training.RECOGNIZERS", {"force_ramp": lambda **_: noting})
     assert train([], "force_ramp").recognizer.labels == ("ball", "box")
     model = TaughtModel(taught.config, training_set=taught.grasps)
     model.train()
     bench = make_bench(taught.config)
     bench.controller.start()
     Tasks(bench.controller, ModelFile(model, None)).named(IdentifyGoal(present="ball"))
-    assert seen == [{1}] * 3
+    assert noting.seen == [{1}] * 3
     assert threads() == {HOST_THREADS}

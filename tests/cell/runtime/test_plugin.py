@@ -428,7 +428,7 @@ def test_a_first_teaching_that_fails_removes_no_file(make_plugin, tmp_path: Path
     # Another program writes it meanwhile: the plugin has nothing better.
     path.write_bytes(b"a model")
     if way == "no part":
-        absent_in(plugin, 1, 2, 3)
+        absent_in(plugin.cell, 1, 2, 3)
     job = plugin.start(TeachGoal(label="ball", grasps=1 if way == "too few grasps" else 9))
     if way == "stopped":
         plugin.cancel(job)
@@ -463,9 +463,12 @@ def test_what_was_forgotten_is_removed_once_it_can_be(make_plugin, taught, tmp_p
 # -- grasps that find no part --------------------------------------------------------------------
 
 
-def absent_in(plugin: Any, *numbers: int) -> None:
-    """Take the object away before the grasps with these numbers, from 1, close the fingers."""
-    world, place = plugin.cell.simulated, plugin.cell.controller.moves.positioner.move_to
+def absent_in(cell: Any, *numbers: int) -> list[Pose]:
+    """Take the object away before the grasps with these numbers, from 1, close the fingers.
+
+    Returns the list that gets the pose of each grasp.
+    """
+    world, place = cell.simulated, cell.controller.moves.positioner.move_to
     done: list[Pose] = []
 
     def move_to(pose: Pose, *_supervise: Any) -> Pose:
@@ -475,13 +478,14 @@ def absent_in(plugin: Any, *numbers: int) -> None:
             world.remove()
         return reached
 
-    plugin.cell.controller.moves.positioner.move_to = move_to
+    cell.controller.moves.positioner.move_to = move_to
+    return done
 
 
 @pytest.mark.slow
 def test_an_absent_object_ends_teaching_and_the_grasps_before_it_are_kept(make_plugin: Any) -> None:
     plugin = make_plugin()
-    absent_in(plugin, 3, 4, 5)
+    absent_in(plugin.cell, 3, 4, 5)
     job = plugin.start({"task": "teach", "label": "ball", "grasps": 20})
     with pytest.raises(JobFailed) as failed:
         plugin.result(job, LIMIT_S)
@@ -724,32 +728,10 @@ def test_turns_without_a_part_are_counted_and_three_in_a_row_end_the_sort(
 ) -> None:
     changes = {"sequence.x_mm": [0.0, 0.0]}
     sorter = Sorter(make_bench, taught, **changes)
-    positioner = sorter.controller.moves.positioner
-    gone = {0, 2, 3, 4}
-    turns: list[int] = []
-
-    class Feed:
-        """Takes the part away again in some turns."""
-
-        blocks = False
-
-        def __getattr__(self, name: str) -> Any:
-            return getattr(positioner, name)
-
-        def present(self, label: str | None, *_supervise: Any) -> None:
-            turns.append(len(turns))
-            positioner.present(label)
-
-        def move_to(self, pose: Any, *_supervise: Any) -> Any:
-            reached = positioner.move_to(pose)
-            if turns[-1] in gone:
-                sorter.bench.simulated.remove()
-            return reached
-
-    sorter.controller.moves.positioner = Feed()
+    grasps = absent_in(sorter.bench.cell, 1, 3, 4, 5)
     with pytest.raises(NoPartFound):
         sorter.sort(*["ball"] * 8)
-    assert len(turns) == 5
+    assert len(grasps) == 5
     assert (sorter.progress["n_missed"], sorter.progress["places"]["bin 1"]) == (4, 1)
 
 

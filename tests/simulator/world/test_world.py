@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -48,29 +49,12 @@ def test_empty_pads_meet_foam_on_foam() -> None:
     assert sums[0] / sums[1] == pytest.approx(1.5, rel=0.05)
 
 
-class HandMovedFingers:
-    """Fingers that the test puts where it wants."""
-
-    def __init__(self) -> None:
-        self.finger_position_m = (12e-3, 12e-3)
-        self.steps: list[tuple[tuple[float, float], tuple[float, float]]] = []
-
-    def step(
-        self,
-        dt_s: float,
-        contact_force_n: tuple[float, float],
-        contact_stiffness_n_m: tuple[float, float],
-    ) -> None:
-        assert dt_s == 1e-3
-        self.steps.append((contact_force_n, contact_stiffness_n_m))
-
-
 class Bench:
     """A world with hand-moved fingers and a way to squeeze to a force."""
 
     def __init__(self, layout: TaxelLayout | None = None, settings: WorldSettings = QUIET) -> None:
         self.layout = layout or paper_layout()
-        self.fingers = HandMovedFingers()
+        self.fingers = Mock(finger_position_m=(12e-3, 12e-3))
         self.world = PhysicalWorld(self.layout, self.fingers, settings)
         self.now_s = 0.0
 
@@ -192,27 +176,23 @@ def test_the_mechanics_feel_force_and_stiffness_of_the_step_before(bench) -> Non
     bench.world.place("box")
     bench.go(4.5e-3, 4.5e-3)
     bench.go(4.49e-3, 4.49e-3)
-    force_n, stiffness_n_m = bench.fingers.steps[-1]
+    _dt_s, force_n, stiffness_n_m = bench.fingers.step.call_args.args
     grown_n = bench.world.contact_force_n()
     assert grown_n[0] - force_n[0] == pytest.approx(1e-5 * stiffness_n_m[0], rel=0.02)
 
 
 def test_time_passes_in_steps_of_a_millisecond(bench) -> None:
-    bench.world.advance_to(0.0104)
-    assert len(bench.fingers.steps) == 10
-    bench.world.advance_to(0.0109)
-    assert len(bench.fingers.steps) == 10
-    bench.world.advance_to(0.011)
-    assert len(bench.fingers.steps) == 11
+    step = bench.fingers.step
+    for until_s, steps in ((0.0104, 10), (0.0109, 10), (0.011, 11)):
+        bench.world.advance_to(until_s)
+        assert step.call_count == steps
     bench.world.skip_to(1.0)
     bench.world.advance_to(1.001)
-    assert len(bench.fingers.steps) == 12
+    assert [call.args[0] for call in step.call_args_list] == [1e-3] * 12
 
 
 def test_the_noise_is_new_for_each_frame_and_the_same_for_each_run() -> None:
-    worlds = [
-        PhysicalWorld(paper_layout(), HandMovedFingers(), WorldSettings(seed=7)) for _ in range(2)
-    ]
+    worlds = [PhysicalWorld(paper_layout(), Mock(), WorldSettings(seed=7)) for _ in range(2)]
     first, second = worlds[0].scan(), worlds[0].scan()
     assert first.dtype == np.uint16
     assert first.min() >= 1
