@@ -22,7 +22,7 @@ from cell.control.self_zero import drive_text, homing_offsets, part_between, sto
 from cell.hand.client import HandProcess
 from cell.hand.interface import Hand
 from cell.hand.local import open_hand
-from gripper.errors import GraspStopped, GripperError
+from gripper.errors import GripperError
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.identification import weighed
 from gripper.servos.watchdog_proof import proof_travel_m
@@ -55,6 +55,8 @@ _LAST_PERIODS = 20
 """Periods of the loop, 0.1 s, whose mean is the force at the end of a motion."""
 
 
+_LEFT = (WizardAborted, KeyboardInterrupt)
+"""Errors of a person who leaves."""
 _TICK_S = 0.08
 """Time in s of grip control between two checks of the person's answer."""
 
@@ -145,8 +147,6 @@ class _Trial:
     dialog: Dialog
     notes: Notes
     hand: Hand
-    left: WizardAborted | None = field(default=None, init=False)
-    """The error of the person who left, or None."""
     periods: list[Cycle] = field(default_factory=list, init=False)
     """Periods of all motions so far."""
     homing: dict[int, int] = field(default_factory=dict, init=False)
@@ -197,10 +197,10 @@ class _Trial:
             )
 
     def _open(self) -> None:
-        """Open the empty fingers; after a failure their torque may go off at the end."""
+        """Open the empty fingers; if it fails or is left, their torque may go off at the end."""
         try:
             self.hand.open(self)
-        except GripperError:
+        except (GripperError, *_LEFT):
             with suppress(GripperError):
                 self.hand.clear_fault(reboot=False)
             raise
@@ -317,15 +317,10 @@ class _Trial:
     def __call__(self, cycle: Cycle, _frames: Sequence[TactileFrame] = ()) -> None:
         """Keep one period of the loop, and show it if the last shown one is old enough."""
         self.periods.append(cycle)
-        if self.left is not None or cycle.t_s < self._due_s:
-            return
-        self._due_s = cycle.t_s + LIVE_CALL_S
-        force = "" if cycle.force is None else f"{min(cycle.force.force_n):.2f} N, "
-        try:
+        if cycle.t_s >= self._due_s:
+            self._due_s = cycle.t_s + LIVE_CALL_S
+            force = "" if cycle.force is None else f"{min(cycle.force.force_n):.2f} N, "
             self.dialog.live("grip", f"{force}opening {1e3 * cycle.state.aperture_m:.1f} mm")
-        except WizardAborted as left:
-            self.left = left
-            self.hand.request_stop()
 
     def hold(self, force_n: float, duration_s: float) -> list[Cycle]:
         """Hold the part with a force in N for a time in s, and return the periods of it."""
@@ -367,17 +362,12 @@ def _watched_hand(
     try:
         trial.homing = homing_offsets(_start_free(hand, dialog))
         yield trial
-        if trial.left is not None:
-            raise trial.left
-    except (WizardAborted, GraspStopped, StepFailed) as error:
-        left = error if isinstance(error, WizardAborted) else trial.left
-        if left is None:
-            raise
+    except _LEFT as left:
         if hand.phase in (GripperPhase.OFF, GripperPhase.IDLE):
-            raise left from None
+            raise
         raise WizardAborted(
-            f"{left}. The fingers keep their grip: take hold of the part and run `tactile-cell "
-            "commission` again; it first asks to open them"
+            f"{str(left) or 'left'}. The fingers keep their grip: take hold of the part and run "
+            "`tactile-cell commission` again; it first asks to open them"
         ) from None
     finally:
         try:
