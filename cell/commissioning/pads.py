@@ -17,9 +17,8 @@ from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step, StepFailed
 from cell.commissioning.findings import Notes
 from cell.commissioning.unit import unit_sensor
-from cell.config.model import CellConfig
 from cell.config.tactile import LinearCalibrationConfig, TableCalibrationConfig, TactileConfig
-from cell.errors import ConfigError, raised_as
+from cell.errors import raised_as
 from cell.hand.local import sensor_settings
 from tactile.control_unit.node import Mounting
 from tactile.errors import TareRefused
@@ -471,10 +470,7 @@ LAW = Step(measure_law, "pads_law", "Newtons of the pads", needs=("pads_pressed"
 
 def _targets_n(bench: Bench) -> list[float]:
     """Return the planned loads in N: even steps over the forces of the config's sequence."""
-    try:
-        least_n, most_n = bench.config.sequence.forces_n
-    except ConfigError:
-        least_n, most_n = CellConfig().sequence.forces_n
+    least_n, most_n = bench.base.sequence.forces_n
     return [round(float(n), 1) for n in np.linspace(min(least_n, 0.5 * most_n), most_n, _STEPS)]
 
 
