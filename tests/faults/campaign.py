@@ -451,14 +451,10 @@ def adapter_comes_back(row: FaultRow) -> Observed:
 
 def drifts_between_grasps(row: FaultRow) -> Observed:
     """Inject while the cell is started and waits, then grasp."""
-
-    def job(cell: CampaignCell) -> None:
-        cell.idle(0.2)
-        cell.grasp()
-
     with campaign_cell(row.changes) as cell:
         cell.start()
-        return observe(cell, row.injected.partition(" ")[0], job)
+        fault = row.injected.partition(" ")[0]
+        return observe(cell, fault, lambda one: (one.idle(0.2), one.grasp()))
 
 
 def _on_sync(cell: CampaignCell, act: Callable[[int], None]) -> None:
@@ -608,16 +604,9 @@ def _grasp_with_clock(step_s: float) -> tuple[GraspRecord, float]:
     """Return a grasp during which the wall clock jumps, and how long it took in s."""
     offset_s = [0.0]
     now, now_ns = time.time, time.time_ns
-
-    def jumping_s() -> float:
-        return now() + offset_s[0]
-
-    def jumping_ns() -> int:
-        return now_ns() + int(offset_s[0] * 1e9)
-
     with (
-        mock.patch("time.time", jumping_s),
-        mock.patch("time.time_ns", jumping_ns),
+        mock.patch("time.time", side_effect=lambda: now() + offset_s[0]),
+        mock.patch("time.time_ns", side_effect=lambda: now_ns() + int(offset_s[0] * 1e9)),
         campaign_cell() as cell,
     ):
         jumped = cell.once_in(
@@ -703,7 +692,14 @@ def part_leaves(row: FaultRow) -> Observed:
             except NoPartFound as error:
                 refusals.append(str(error))
 
-        with cell.first_time(_stopped_pressing(cell)) as known_s:
+        closed: set[bool] = set()
+
+        def stopped() -> bool:
+            """Tell whether the grasp has begun to close and closes no more."""
+            closed.add(closing := cell.controller.hand.phase in _WITH_THE_PART)
+            return True in closed and not closing
+
+        with cell.first_time(stopped) as known_s:
             seen = observe(cell, job=job)
         if not refusals or not known_s or injected.began_s is None:
             return seen
@@ -712,21 +708,6 @@ def part_leaves(row: FaultRow) -> Observed:
             known_s[0] - injected.began_s,
             f"{refusals[0]}; {cell.controller.life.state.value}, the fingers are open",
         )
-
-
-def _stopped_pressing(cell: CampaignCell) -> Callable[[], bool]:
-    """Return a test for a grasp that has begun to close and closes no more."""
-    closing = False
-
-    def happens() -> bool:
-        nonlocal closing
-        phase = cell.controller.hand.phase
-        if phase in _WITH_THE_PART:
-            closing = True
-            return False
-        return closing
-
-    return happens
 
 
 def something_pushes(row: FaultRow) -> Observed:

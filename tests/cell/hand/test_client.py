@@ -15,6 +15,7 @@ from dataclasses import replace
 from multiprocessing.connection import Connection
 from types import SimpleNamespace
 from typing import Any, ClassVar
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -371,16 +372,12 @@ def test_what_is_refused_is_noted_with_its_meaning_and_remedy(monkeypatch) -> No
 
 
 def test_memory_that_may_not_be_locked_is_an_error(monkeypatch) -> None:
-    class Libc:
-        @staticmethod
-        def mlockall(flags: int) -> int:
-            assert flags == 3
-            real_time.ctypes.set_errno(errno.ENOMEM)
-            return -1
-
-    monkeypatch.setattr(real_time.ctypes, "CDLL", lambda *_args, **_options: Libc)
+    real_time.ctypes.set_errno(errno.ENOMEM)
+    lock = Mock(return_value=-1)
+    monkeypatch.setattr(real_time.ctypes, "CDLL", Mock(return_value=Mock(mlockall=lock)))
     with pytest.raises(OSError, match="Cannot allocate memory"):
         real_time.lock_memory()
+    lock.assert_called_once_with(3)
 
 
 def test_garbage_is_collected_between_jobs_only(monkeypatch) -> None:

@@ -584,8 +584,15 @@ def test_the_address_for_others_is_that_of_this_machine_on_their_way(monkeypatch
 # -- What the server refuses before every HTTP application, and when it answers --------------------
 
 
-def order_of(length: int, host: bytes) -> tuple[list[str], int]:
-    """Return what happens to a request whose body comes in two pieces, and its status."""
+@pytest.mark.parametrize(
+    ("length", "host", "wanted"),
+    [
+        (2, b"evil.example", (["read", "read", "answered"], 403)),
+        (0, b"evil.example", (["answered"], 403)),
+        (REQUEST_BYTES + 1, b"127.0.0.1", (["answered"], 413)),
+    ],
+)
+def test_a_refusal_follows_the_body_unless_it_is_too_long(length, host, wanted) -> None:
     order: list[str] = []
     status: list[int] = []
     pieces = iter([True, False])
@@ -610,16 +617,4 @@ def order_of(length: int, host: bytes) -> tuple[list[str], int]:
     }
     with closing(HttpServer(app, ServeConfig(), 0)) as server:
         asyncio.run(server(scope, receive, send))
-    return order, status[0]
-
-
-@pytest.mark.parametrize(
-    ("length", "host", "wanted"),
-    [
-        (2, b"evil.example", (["read", "read", "answered"], 403)),
-        (0, b"evil.example", (["answered"], 403)),
-        (REQUEST_BYTES + 1, b"127.0.0.1", (["answered"], 413)),
-    ],
-)
-def test_a_refusal_follows_the_body_unless_it_is_too_long(length, host, wanted) -> None:
-    assert order_of(length, host) == wanted
+    assert (order, status[0]) == wanted

@@ -338,8 +338,10 @@ def test_the_example_of_the_page_runs(served, host, capsys) -> None:
         "sort",
     ]
     assert "ball 0.9 sphere 9.5" in capsys.readouterr().out
+    paths = host.ask("GET", "/openapi.json", token=None)[1]["paths"]
+    described = {path.replace("{label:path}", "{label}") for path in paths}
     for path in re.findall(r"`(?:GET|POST|PUT|DELETE) ([a-z{][^`?]*)", PAGE.read_text("utf-8")):
-        assert f"/api/{path.strip()}" in openapi_paths(host), path
+        assert f"/api/{path.strip()}" in described, path
 
 
 def page_examples(host: Client) -> list[str]:
@@ -352,12 +354,6 @@ def page_examples(host: Client) -> list[str]:
         assert there in "".join(examples)
         examples = [example.replace(there, here) for example in examples]
     return examples
-
-
-def openapi_paths(host: Client) -> set[str]:
-    """Return the paths of the description, with labels as they are written in texts."""
-    paths = host.ask("GET", "/openapi.json", token=None)[1]["paths"]
-    return {path.replace("{label:path}", "{label}") for path in paths}
 
 
 def test_a_defect_is_answered_in_the_same_shape(served, host, caplog) -> None:

@@ -4,6 +4,7 @@ import gc
 import importlib.metadata
 import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -216,23 +217,17 @@ def test_a_job_that_is_cancelled_as_soon_as_it_is_accepted_is_cancelled(plugin: 
 def test_a_plugin_that_is_dropped_disconnects_and_ends_its_threads(
     plugin_class: Any, taught: Any
 ) -> None:
-    class Host:
-        """A host whose mover refers to it, so that only the collector finds that nobody does."""
-
-        def __init__(self) -> None:
-            config = small_config(host_timeout_s=1000.0)
-            self.plugin = plugin_class(config, mover=self.move, model=taught.result.model)
-
-        def move(self, pose: Pose) -> None:
-            return None
-
-    host = Host()
-    job = host.plugin.start(IdentifyGoal(present="ball", max_grasps=1))
-    assert host.plugin.result(job, LIMIT_S).label == "ball"
-    threads = [host.plugin._worker._thread, host.plugin._lease._thread]
+    # The mover refers to the host: only the collector finds that nobody does.
+    host = list[Any]()
+    mover = partial(lambda _host, _pose: None, host)
+    config = small_config(host_timeout_s=1000.0)
+    host.append(plugin_class(config, mover=mover, model=taught.result.model))
+    job = host[0].start(IdentifyGoal(present="ball", max_grasps=1))
+    assert host[0].result(job, LIMIT_S).label == "ball"
+    threads = [host[0]._worker._thread, host[0]._lease._thread]
     disconnected: list[bool] = []
-    host.plugin.cell._closing.callback(disconnected.append, True)
-    del host
+    host[0].cell._closing.callback(disconnected.append, True)
+    del host, mover
     with pytest.warns(ResourceWarning, match="dropped without close"):
         gc.collect()
     for thread in threads:
