@@ -322,7 +322,10 @@ def _positioner(
             return CallbackPositioner(mover, simulator)
         case "operator":
             if ask is None:
-                raise ConfigError("positioner.kind is operator: there is no terminal to ask at")
+                raise ConfigError(
+                    "positioner.kind is operator, but this program has no terminal to ask at: "
+                    "choose callback or axes"
+                )
             return OperatorPositioner(ask)
         case "simulated":
             if placer is None:

@@ -99,7 +99,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Run `doctor`; correct the errors that it lists.", HELD, MEND),
     gripper.ServoFault: Fault(109, "A servo reports a hardware error or lost its torque",
         "Overload, heat, supply, shock; a restart.",
-        "Support the part, mend, clear with reboot, release, reset.",
+        "Support the part and remove the cause.",
         "The other finger stands still; a servo without torque does not hold.", REBOOT),
     gripper.VerificationFailed: Fault(110, "Servos do not match the config",
         "Another servo, or changed settings.", "Correct the servo or the config.", UNMOVED, START),

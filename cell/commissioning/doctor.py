@@ -134,7 +134,7 @@ def _drives(config: CellConfig, named: str) -> Finding:
     zeros = stored_zeros(config, Path(config.recording.directory), new_hand=False)
     texts, drives, advice = list[str](), list[DriveCharacteristic](), ""
     for servo in config.gripper_settings.servos:
-        if servo.servo_id not in zeros.drives:
+        if not zeros.measured_servo(servo.servo_id):
             texts.append(f"servo {servo.servo_id}: not measured, catalogue values within 30 %")
             advice = f"`tactile-cell hand zero{named}` measures them, with nothing in the grip"
             continue
@@ -158,6 +158,8 @@ def _devices(config: CellConfig, named: str, earlier: Commissioning) -> Iterator
         cell = build_cell(config, mover=lambda _pose: False, ask=str, partial=True)
     except (CellError, GripperError, TactileError) as error:
         advice = "check cabling, power and the names in the config"
+        if config.positioner.socket:
+            advice += "; `tactile-cell simulate` must run for a positioner with a socket"
         yield check_result("links", str(error), advice, bad=Verdict.FAIL)
         return
     yield from _loop(cell)

@@ -188,7 +188,8 @@ class _Trial:
         if again + loop.missed_reads > _LOSS_SHARE * loop.cycles:
             self.notes.warn(
                 "The servos' line loses answers: check its plugs, the ground between adapter and "
-                "servos, and keep its cable away from the motors' supply."
+                "servos, and keep its cable away from the motors' supply. Or this machine is too "
+                "busy: see loop.cpu and loop.priority."
             )
         if lost + source.error_frames > _LOSS_SHARE * (frames.complete + forces.received):
             self.notes.warn(

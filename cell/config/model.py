@@ -172,15 +172,15 @@ class CellConfig(Section):
         elsewhere = not self.simulated and not self.positioner.socket
         if elsewhere and self.positioner.kind == "simulated":
             raise ValueError(
-                "positioner.kind is simulated but the cell is not: choose operator or callback, "
-                "or name the socket of a simulated cell in another process"
+                "positioner.kind is simulated but the cell is not: choose operator, callback or "
+                "axes, or name the socket of a simulated cell in another process"
             )
         if not self.gripper.pads_meet and self.self_zero in ("always", "daily"):
             if "self_zero" in self.model_fields_set:
                 raise ValueError(
                     f"self_zero is {self.self_zero}, but gripper.pads_meet is false: write "
                     "self_zero: never, and gauge with a taught object in a holder (`tactile-cell "
-                    "calibrate --gauge`)"
+                    "model calibrate --gauge`)"
                 )
             object.__setattr__(self, "self_zero", "never")
         self._check_axes()

@@ -4,13 +4,25 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from cell.config.section import SIMULATED, Section, refuse_repeats
+from cell.config.gripper import use_servo_models
+from cell.config.section import SIMULATED, Installed, Section, refuse_repeats
 from cell.config.sequence import Range, SequenceConfig
+from cell.errors import ConfigError, raised_as
 from cell.formats import checked_label
+from cell.plugins import SERVO_MODELS
 from gripper.dynamixel.models import MODELS, XM430_W350
+from gripper.errors import LimitExceeded
 
 Moves = Literal["x", "y", "rotation", "roll"]
 """Part of a pose that one axis moves; mm for x and y, degrees for the two turns."""
+
+
+def _turning(model: str) -> str:
+    with raised_as(ValueError, ConfigError, LimitExceeded):
+        use_servo_models([model])
+    if not MODELS[model].turns:
+        raise ValueError(f"{model} is a gripper: an axis needs a servo that turns")
+    return model
 
 
 class AxesCanConfig(Section):
@@ -92,8 +104,8 @@ class ServoAxisConfig(_Axis):
     """Baud rate of the line in bit/s."""
     id: int = Field(default=1, ge=0, le=252)
     """ID of the servo, 0 to 252."""
-    model: Literal["XM430-W350", "XM430-W210", "XL330-M288", "XC330-M288"] = "XM430-W350"
-    """Model of the servo."""
+    model: Annotated[str, AfterValidator(_turning), Installed(SERVO_MODELS)] = "XM430-W350"
+    """Model of the servo, one that turns without end."""
     increments: float = XM430_W350.pulses_per_turn / 360.0
     """Pulses per degree or mm: 11.3778 without a gear; negative for the other direction."""
     zero_pulse: int = Field(default=0, ge=0, le=4095)

@@ -216,6 +216,11 @@ class SelfZeros:
                 drives[servo_id] = replace(drive, friction_sd=sd)
         return drives
 
+    def measured_servo(self, servo_id: int) -> bool:
+        """Return whether the saved drive is of the servo of the config; ignores homing offsets."""
+        saved = self.drives.get(servo_id, {"servo": {}})["servo"]
+        return {**saved, "homing_offset": 0} == self._servo(servo_id, {})
+
     def _servo(self, servo_id: int, homing: Mapping[int, int]) -> dict[str, Any]:
         return {**self.servos.get(servo_id, {}), "homing_offset": homing.get(servo_id, 0)}
 

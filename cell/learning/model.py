@@ -7,6 +7,7 @@ format, its pads or the version of its features differ from this program.
 import hashlib
 import importlib
 import json
+import zipfile
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -71,6 +72,8 @@ Arrays = Mapping[str, NDArray[Any]]
 _UNSUITABLE = (*DAMAGE, AttributeError, RuntimeWarning)
 """Errors of arrays with other shapes, types or values than a recognizer expects."""
 _HEADER = "model"
+_DATASET = "grasp_offsets"
+"""Array of a data set, never of a model."""
 _PREFIX = "learnt."
 _PADS = "pads."
 _TRAINING = "training_set."
@@ -113,13 +116,17 @@ class LoadedModel(Trained):
 def save_model(path: Path | str, trained: Trained, pads: PadArray) -> None:
     """Write a taught recognizer and the pads that it was taught on, whole or not at all.
 
-    An older file stays until the new one is whole. Raises ModelError if the kind is unknown or the
-    write fails.
+    An older model stays until the new one is whole. Raises ModelError if the kind is unknown, the
+    path is a data set, or the write fails.
     """
     path, trainer_name = Path(path), trained.trainer_name
     kind = type(trained.recognizer)
     if _class_of(path, trainer_name, kind.__name__) is not kind:
         raise ModelError(f"cannot write model {path}: {kind.__name__} is not of {trainer_name!r}")
+    if zipfile.is_zipfile(path) and f"{_DATASET}.npy" in zipfile.ZipFile(path).namelist():
+        raise ModelError(
+            f"{path} is a data set; a model would replace its grasps: choose another name for -o"
+        )
     parts = {_PREFIX: trained.recognizer.to_arrays(), _TRAINING: trained.training_set}
     arrays: dict[str, NDArray[Any]] = pads.to_arrays(_PADS) | {
         prefix + name: np.asarray(array)
@@ -200,7 +207,7 @@ def _section(arrays: Arrays, prefix: str) -> dict[str, NDArray[Any]]:
 
 def _header(path: Path, arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     text = arrays.get(_HEADER)
-    if "grasp_offsets" in arrays:
+    if _DATASET in arrays:
         raise ModelError(
             f"{path} is a data set: `tactile-cell model train {path}` makes a model of it"
         )

@@ -36,8 +36,11 @@ class Page:
 def write_report(path: Path | str, page: Page) -> None:
     """Write the page atomically: an older file stays until the new file is complete.
 
-    Raises ReportError if it cannot be written, and MissingExtraError without the extra ``report``.
+    Raises ReportError if it cannot be written or its name does not end with .html, and
+    MissingExtraError without the extra ``report``.
     """
+    if Path(path).suffix != ".html":
+        raise ReportError(f"{path}: the name of a report must end with .html")
     data = render_report(page).encode("utf-8", errors="replace")
     write_atomically(Path(path), lambda file: file.write(data), error=ReportError, what="report")
 

@@ -239,7 +239,7 @@ def heat_note(force_n: float, settings: GripperSettings, linkage: Linkage) -> st
         if (lasts_s := longest_s(model, current_a)) < least_s:
             least_s = lasts_s
             note = (
-                f"a grip of {force_n:g} N takes {current_a:.2f} A, a {model.name} bears "
+                f"a grip of {force_n:g} N takes {current_a:.2f} A, and {model.name} bears "
                 f"{model.holding_a:.2f} A for hours: after {lasts_s:.0f} s at most its current is "
                 f"lowered to that, and the part is held with less force. Ask for less force, or "
                 f"take a shorter lever or a stronger servo"

@@ -129,9 +129,11 @@ def load_mesh(path: Path) -> MeshShape:
     """
     import trimesh  # noqa: PLC0415 (an extra, needed for mesh files only)
 
+    if not path.is_file():
+        raise SimulatorSettingsError(f"there is no file {path}: check the path")
     try:
-        if not path.is_file() or path.stat().st_size > _MAX_BYTES:
-            raise ValueError(f"it is not a file of at most {_MAX_BYTES} bytes")
+        if path.stat().st_size > _MAX_BYTES:
+            raise ValueError(f"it has more than {_MAX_BYTES} bytes")
         with np.errstate(invalid="ignore"):  # what is no number is refused below
             mesh = trimesh.load_mesh(io.BytesIO(path.read_bytes()), file_type="stl")
             mesh.merge_vertices()

@@ -42,18 +42,38 @@ Config = Annotated[
         callback=_or_of_folder,
     ),
 ]
+
+
+def _json_file(path: Path | None) -> Path | None:
+    """Refuse a name of another kind: the file may exist."""
+    if path is not None and path.suffix != ".json":
+        raise typer.BadParameter(f"{path}: the name must end with .json")
+    return path
+
+
 Json = Annotated[
-    Path | None, typer.Option("--json", help="Also write the result to this file, as JSON.")
+    Path | None,
+    typer.Option(
+        "--json", callback=_json_file, help="Also write the result to this file, as JSON."
+    ),
 ]
 Out = Annotated[
     Path | None,
-    typer.Option("--out", help="Folder for recordings and reports [default: recording.directory]."),
+    typer.Option(
+        "--out",
+        help="Folder for recordings and reports [default: the config key recording.directory].",
+    ),
 ]
 MAX_SEED = 2**32 - 1
 """Largest seed, as in the config."""
 Seed = Annotated[
     int | None,
-    typer.Option("--seed", help="Seed of poses and noise [default: seed].", min=0, max=MAX_SEED),
+    typer.Option(
+        "--seed",
+        help="Seed of poses and noise [default: the config key seed].",
+        min=0,
+        max=MAX_SEED,
+    ),
 ]
 Model = Annotated[Path | None, typer.Option("--model", "-m", help="File of a taught model.")]
 FolderModel = Annotated[

@@ -419,7 +419,10 @@ def test_drives_are_kept_with_their_servo_and_without_a_zero_too(tmp_path: Path)
         {"gripper.servos": [{"id": 1, "model": "XM430-W210"}, {"id": 2}]},
         {"gripper.servos": [{"id": 3}, {"id": 2}]},
     ):
-        assert not stored_zeros(changed_config(here, change), tmp_path).stored_drives(homing)
+        other = stored_zeros(changed_config(here, change), tmp_path)
+        assert not other.stored_drives(homing)
+        assert not other.measured_servo(1)
+    assert later.measured_servo(1)
 
 
 def test_a_measured_zero_keeps_the_drives_and_they_keep_the_zero(tmp_path: Path) -> None:

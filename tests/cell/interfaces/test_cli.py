@@ -197,6 +197,7 @@ def test_teach_finds_out_before_the_first_grasp_where_it_cannot_write(
     config, dataset, tmp_path, fail
 ) -> None:
     out = ("--out", tmp_path / "out")
+    assert "must end with .json" in fail("identify", dataset, "--json", dataset, code=2)
     said = fail("teach", "box", "-o", tmp_path / "gone" / "d.npz", "-c", config, *out)
     assert "does not exist; make it first" in said
     other = tmp_path / "other.npz"
@@ -539,7 +540,7 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
         (1, "model train {dataset} {other} -o {made}", "different pads; train a model for each"),
         (1, "model train {nameless} -o {made}", "its 1 grasps have no label"),
         (1, "model train {empty} -o {made}", "has no whole grasp"),
-        (1, "doctor --plugins --json {config}/x", "cannot be written"),
+        (1, "doctor --plugins --json {config}/x.json", "cannot be written"),
         (1, "run -c {config} --out {config}", "cannot be made"),
     ],
 )

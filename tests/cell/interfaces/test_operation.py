@@ -511,7 +511,7 @@ def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(t
         finally:
             process.kill()
     assert process.returncode == 0
-    assert f"page: http://127.0.0.1:{line['http_port']}/ (its token: token)\n" in said
+    assert f"page: http://127.0.0.1:{line['http_port']}/ (its token is in token)\n" in said
     assert TOKEN not in said
 
 

@@ -157,6 +157,14 @@ def test_recognizer_of_unknown_kind_is_not_written(learnt, tmp_path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def test_a_model_replaces_no_data_set(learnt, tmp_path) -> None:
+    np.savez(tmp_path / "m.npz", grasp_offsets=np.zeros(3))
+    before = (tmp_path / "m.npz").read_bytes()
+    with pytest.raises(ModelError, match="a model would replace its grasps"):
+        save_model(tmp_path / "m.npz", trained(learnt), PADS)
+    assert (tmp_path / "m.npz").read_bytes() == before
+
+
 # -- What a teaching does not show is named, and what a taught model shows of its objects ----------
 
 

@@ -275,6 +275,8 @@ def test_missing_extra_is_said_with_the_remedy(missing, recording, monkeypatch) 
 def test_unwritable_place_is_a_clear_error(tmp_path) -> None:
     with pytest.raises(ReportError, match=r"cannot write report .* make it first"):
         write_report(tmp_path / "no" / "r.html", Page(title="t", sections={}))
+    with pytest.raises(ReportError, match="the name of a report must end with"):
+        write_report(tmp_path / "cell.yaml", Page(title="t", sections={}))
 
 
 # -- shape and size ----------------------------------------------------------------------------

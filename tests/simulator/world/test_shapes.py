@@ -120,7 +120,7 @@ def test_shapes_are_read_from_text(text, shape) -> None:
         ("ball:diameter=" + "9" * 400 + "m", "length_m is inf"),
         ("ellipsoid:length=3mm", "width and height"),
         ("dumbbell:length=13mm,diameter=10mm,waist_diameter=11mm", "smaller"),
-        ("mesh:file=/nowhere/part.stl", "cannot be read"),
+        ("mesh:file=/nowhere/part.stl", "there is no file"),
     ],
 )
 def test_texts_that_are_no_shape_are_refused(text, message) -> None:

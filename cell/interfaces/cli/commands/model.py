@@ -146,7 +146,7 @@ def calibrate(
     values = {"model": output, "gauge": gauge, **corrected.grid.values, "n_grasps": n_grasps}
     line = (
         f"{n_grasps} grasps of {' and '.join(gauge) if gauge else 'a shift'}: "
-        f"{drift_text(corrected.grid.drift)} (+-{1e3 * corrected.grid.offset_sd_m:.1f} mm): "
+        f"{drift_text(corrected.grid.drift)} (±{1e3 * corrected.grid.offset_sd_m:.1f} mm): "
         f"{output}"
     )
     show([line], values, json_file)

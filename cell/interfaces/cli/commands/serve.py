@@ -136,7 +136,7 @@ def serve(
     ] = 1.0,
     faults: options.Faults = None,
 ) -> None:
-    """Run the cell for people, PLCs, robot programs and other hosts, until SIGTERM.
+    """Run the cell for people, PLCs, robot programs and other hosts, until Ctrl-C.
 
     Without a config file this is the simulated cell with five taught objects, and the page for a
     browser is open. Its address is printed on standard error, with the token on a terminal only.
@@ -158,7 +158,7 @@ def serve(
         with_faults(own, faults), {key: value for key, value in given.items() if value is not None}
     )
     if not checked.serve.ports:
-        raise ConfigError(ALL_CLOSED)
+        raise ConfigError(missing_note("serve", "page") or ALL_CLOSED)
     folder = None if out_folder is None else job_folder(out_folder, "serve")
     over = threading.Event()
     if save is None and training_set is None:
@@ -229,8 +229,12 @@ def _announced_interfaces(service: Service) -> Iterator[None]:
         )
         page, view = (page_address(interfaces, config, which) for which in secret)
         if page and not err.is_terminal:
-            where = config.token_file or "on a terminal only; --token-file sets one"
-            print_page(f"{page.partition('#')[0]} (its token: {where})")
+            where = (
+                f"its token is in {config.token_file}"
+                if config.token_file
+                else "its token is shown on a terminal only; --token-file FILE sets one"
+            )
+            print_page(f"{page.partition('#')[0]} ({where})")
         elif page and view:
             print_page(page)
             print_view(view, view_note(config))

@@ -45,7 +45,7 @@ def simulate(
         bool, typer.Option("--with-parent", help="End when the parent program ends.", hidden=True)
     ] = False,
 ) -> None:
-    """Run the simulated cell for other programs, until SIGTERM.
+    """Run the simulated cell for other programs, until Ctrl-C or SIGTERM.
 
     When programs can connect, it prints one JSON line with its device paths.
     """
