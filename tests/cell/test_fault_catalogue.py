@@ -12,13 +12,13 @@ import gripper
 import motion
 import recognition
 import tactile
-from cell.errors import CellError, CellStopped, ConfigError, PartInGrip
+from cell.errors import CellError, CellStopped
 from cell.fault_catalogue import CATALOGUE, Fault, error_text, fault_number, fault_of
 from cell.runtime.worker import Job, JobFailed, JobOutcome
-from gripper.errors import BusTimeout, FingerSilent, GripperError, PartLost, ServoMissing
+from gripper.errors import BusTimeout, FingerSilent, GripperError, PartLost
 from motion.errors import MotionError
 from recognition.errors import RecognitionError
-from tactile.errors import HeartbeatLost, LinkFault, TactileError
+from tactile.errors import TactileError
 
 FROZEN = {
     "GripperError": 100, "PortLost": 101, "BusTimeout": 102, "FingerSilent": 103,
@@ -107,19 +107,8 @@ def test_people_read_no_class_names(kind: type[BaseException]) -> None:
 
 
 def test_a_subclass_has_the_most_specific_entry() -> None:
-    class WarmerSilence(FingerSilent):
-        pass
-
-    class NewLinkFault(LinkFault):
-        pass
-
     assert fault_number(BusTimeout("x")) == 102
-    assert fault_number(WarmerSilence("x")) == 103
-    assert CATALOGUE[ServoMissing].number == 111
-    assert fault_number(HeartbeatLost("x")) == 305
-    assert fault_number(NewLinkFault("x")) == 302
-    assert fault_number(PartInGrip("x")) == 506
-    assert fault_number(ConfigError("x")) == 501
+    assert fault_number(type("WarmerSilence", (FingerSilent,), {})("x")) == 103
     assert fault_number(PermissionError("x")) == 598
     assert fault_number(ZeroDivisionError("x")) == 599
     assert fault_number(KeyboardInterrupt()) == 599

@@ -49,11 +49,9 @@ def test_the_port_is_the_only_one_or_found_by_pulling_its_plug(
 
 
 def test_a_port_that_is_taken_or_gone_is_named(tmp_path) -> None:
-    class Taken(SimulatedLines):
-        def open_serial(self, port: str, baud_rate: int) -> None:  # type: ignore[override]
-            raise PortLost(f"serial port {port} is used by another program")
-
-    notes = carry_out(PORTS, Bench(tmp_path, Taken(SimulatedCell())), Script())
+    lines = SimulatedLines(SimulatedCell())
+    lines.open_serial = Mock(side_effect=PortLost("the port is used by another program"))
+    notes = carry_out(PORTS, Bench(tmp_path, lines), Script())
     assert notes.status is Verdict.FAIL
     assert "used by another program" in notes.lines[-1]
 

@@ -32,7 +32,7 @@ from tactile.can.bus import CanBus
 from tactile.errors import BusNotOpened
 from tactile.layout import inner_pads, pinch_layout
 from tests.cell.commissioning.conftest import MakeStand, Stand
-from tests.cell.commissioning.hands import Script, SimulatedLines
+from tests.cell.commissioning.hands import Script
 from tests.marks import LONG
 
 PORT = "/dev/ttyUSB0"
@@ -390,18 +390,17 @@ def test_another_bit_rate_is_found_and_the_period_fits_it(
 
 
 def test_an_adapter_without_some_bit_rate_is_asked_for_the_others(make_stand: MakeStand) -> None:
-    class Adapter(SimulatedLines):
-        rates = (500_000,)
-
-        def open_can(self, interface: str, channel: str, bitrate: int) -> CanBus:
-            if bitrate not in self.rates:
-                raise BusNotOpened(f"invalid bit rate {bitrate}")
-            return super().open_can(interface, channel, bitrate)
-
     stand = make_stand(unit=ControlUnitSettings(bitrate=500_000))
-    stand.bench.lines = lines = Adapter(stand.cell)
+    opened, rates = stand.lines.open_can, [500_000]
+
+    def open_can(interface: str, channel: str, bitrate: int) -> CanBus:
+        if bitrate not in rates:
+            raise BusNotOpened(f"invalid bit rate {bitrate}")
+        return opened(interface, channel, bitrate)
+
+    stand.lines.open_can = open_can
     assert stand.run(UNIT).settings["tactile.bitrate"] == 500_000
-    lines.rates = ()
+    rates.clear()
     assert stand.run(UNIT).lines == ["invalid bit rate 1000000"]
 
 

@@ -81,7 +81,7 @@ class Walk:
         elif state is CellState.HELD:
             self._grasp_until(self.controller.life.cancel)
         elif state in (CellState.ABORTED, CellState.RESETTING):
-            self._grasp_until(self._unplug)
+            self._grasp_until(lambda: self.bench.simulated.inject("can.unplugged"))
             if state is CellState.RESETTING:
                 self.bench.simulated.injector.clear("can.unplugged")
                 self.controller.life.clear()
@@ -111,9 +111,6 @@ class Walk:
         self.bench.once_in(GripperPhase.RAMPING, act, 0.3)
         with pytest.raises((CellStopped, BusOff)):
             self.bench.grasp(6.0)
-
-    def _unplug(self) -> None:
-        self.bench.simulated.inject("can.unplugged")
 
     def give(self, command: Command) -> None:
         if command is Command.GRASP:
