@@ -30,9 +30,10 @@ from simulator.clock import VirtualClock
 from tests.values import make_pads
 
 
-def call(*arguments: object) -> str:
+def call(*arguments: object, answers: str = "") -> str:
     """Run a command that succeeds; return what it printed."""
-    result = CliRunner().invoke(app, [str(a) for a in arguments], catch_exceptions=False)
+    words = [str(a) for a in arguments]
+    result = CliRunner().invoke(app, words, input=answers, catch_exceptions=False)
     assert result.exit_code == 0, result.output
     return result.stdout
 

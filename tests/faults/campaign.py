@@ -39,6 +39,7 @@ from tactile.errors import TactileError
 from tests.cell.conftest import COARSE_PADS, Bench, once
 from tests.faults.invariants import InvariantMonitor
 from tests.hil.program import CONFIG, SEQUENCE, child_of, ended, first
+from tests.values import raising
 from tests.waiting import LIMIT_S, until
 
 JOB_BOUND_S = 60.0
@@ -562,10 +563,7 @@ def error_in_the_loop(row: FaultRow) -> Observed:
 
 def error_in_the_mover(row: FaultRow) -> Observed:
     """Teach through the plugin with a robot whose driver raises."""
-
-    def broken(_pose: Pose) -> None:
-        raise ZeroDivisionError("robot driver")
-
+    broken = raising(ZeroDivisionError("robot driver"))
     with TactileCellPlugin(campaign_config(row.changes), mover=broken) as plugin:
         job = plugin.start(TeachGoal(label="ball", grasps=3))
         try:

@@ -41,7 +41,7 @@ from tests.faults.invariants import (
 )
 from tests.fuzz.harness import seed_of_run
 from tests.marks import LONG
-from tests.values import command_of
+from tests.values import command_of, raising
 
 PIECES = 10
 """Pieces that the tests run, each from a seed of its own."""
@@ -639,13 +639,11 @@ def test_frames_that_nobody_scanned_are_found(cell: Driver) -> None:
 
 @pytest.mark.slow
 def test_an_error_without_a_type_and_a_command_without_an_end_are_found(cell: Driver) -> None:
-    def fail() -> None:
-        raise KeyError("nobody expects it")
-
     def hang() -> None:
         while True:
             cell.simulated.clock.sleep(0.1)
 
+    fail = raising(KeyError("nobody expects it"))
     for call, complaint in ((fail, "ended with KeyError"), (hang, "did not end within its time")):
         with pytest.raises(InvariantBroken, match=complaint):
             cell.command("x", call)

@@ -56,7 +56,7 @@ from gripper.values.servo_checks import VerificationReport, VerificationRow
 from gripper.values.state import GripperPhase
 from tactile.errors import HeartbeatLost, LinkFault, NodeEmergency
 from tactile.source import FrameStatistics, TactileFrame
-from tests.values import make_cycle, make_source_statistics
+from tests.values import make_cycle, make_source_statistics, raising
 
 RAMP = ForceRamp.linear(3.0, 5.0)
 STATISTICS = HandStatistics(
@@ -196,19 +196,14 @@ def test_a_ramp_beyond_a_limit_is_refused_without_asking_the_process(hand) -> No
 def test_what_the_watch_raises_stops_the_command_and_comes_with_where_the_fingers_are(
     loop, hand
 ) -> None:
-    told: list[int] = []
-
-    def fail(_cycle: Any, _frames: Any) -> None:
-        told.append(1)
-        raise OSError("the disk is full")
-
+    watch = Mock(side_effect=OSError("the disk is full"))
     stopped = GraspStopped("stopped on request")
     note_fingers(stopped, "stopped while letting go")
     loop.script.append([period(), period(), answer(1, stopped)])
     with pytest.raises(OSError, match="disk is full") as caught:
-        hand.release(fail)
+        hand.release(watch)
     assert fingers_left(caught.value) == "the fingers stopped while letting go"
-    assert (len(told), loop.stops, loop.lost) == (1, 1, None)
+    assert (watch.call_count, loop.stops, loop.lost) == (1, 1, None)
 
 
 def test_an_error_of_the_process_is_raised_as_what_it_is(loop, hand) -> None:
@@ -347,8 +342,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Any]]:
     threading.stack_size(before)
 
 
-def refuse(*_args: Any) -> None:
-    raise PermissionError(errno.EPERM, "Operation not permitted")
+refuse = raising(PermissionError(errno.EPERM, "Operation not permitted"))
 
 
 def test_what_is_configured_is_asked_for_and_nothing_else(asked) -> None:

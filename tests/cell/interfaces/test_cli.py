@@ -3,7 +3,6 @@
 import contextlib
 import importlib.metadata
 import io
-import itertools
 import json
 import os
 import signal
@@ -13,6 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -595,14 +595,9 @@ def test_a_signal_stops_the_job_and_keeps_grip_recording_and_what_was_grasped(
             folder.rmdir()
 
     def in_the_third_grasp(made: Any) -> None:
-        n_grasps, begin, world = itertools.count(1), made.controller.grasp, made.simulated.world
-
-        def grasp(*arguments: Any, **options: Any) -> Any:
-            if next(n_grasps) == 3:
-                once(made.simulated.clock, lambda: min(world.contact_force_n()) > 2.0, strike)
-            return begin(*arguments, **options)
-
-        made.controller.grasp = grasp
+        made.controller.grasp = grasp = Mock(side_effect=made.controller.grasp)
+        force_n = made.simulated.world.contact_force_n
+        once(made.simulated.clock, lambda: grasp.call_count == 3 and min(force_n()) > 2.0, strike)
 
     built = meddle(in_the_third_grasp)
     said = fail("teach", "ball", "-n", 20, "-o", folder / "d.npz", "-c", quick)

@@ -23,7 +23,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from rich.console import Console
 from ruamel.yaml import YAML
 from typer.main import get_command
-from typer.testing import CliRunner, Result
+from typer.testing import CliRunner
 
 from cell.config.file import changed_config, config_text, load_config, parse_config
 from cell.config.model import CellConfig
@@ -44,7 +44,7 @@ from gripper.errors import GripperError
 from recognition.recognizer import UNKNOWN
 from tactile.errors import HeartbeatLost
 from tests import ROOT, blocks, commands
-from tests.cell.conftest import REAL, MakeBench, once, small_config
+from tests.cell.conftest import REAL, MakeBench, call, once, small_config
 from tests.cell.interfaces.hosts import Client
 from tests.cell.served import Served
 from tests.faults.campaign import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
@@ -60,12 +60,6 @@ WRITTEN = {
 }
 
 
-def call(*arguments: object, answers: str = "") -> Result:
-    result = CliRunner().invoke(app, [str(one) for one in arguments], input=answers)
-    assert result.exit_code == 0, result.output
-    return result
-
-
 def files_in(folder: Path) -> set[str]:
     return {str(one.relative_to(folder)) for one in folder.rglob("*") if one.is_file()}
 
@@ -79,7 +73,7 @@ def test_what_the_page_types_prints_writes_and_packs(tmp_path, monkeypatch) -> N
     image = tmp_path / "image"
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cell.yaml").write_text("")
-    printed = call(*printing, "--root", image).output
+    printed = call(*printing, "--root", image)
     assert not image.exists()
     for name in WRITTEN:
         assert f"/{name}" in printed
@@ -88,7 +82,7 @@ def test_what_the_page_types_prints_writes_and_packs(tmp_path, monkeypatch) -> N
     assert files_in(image) == WRITTEN
     for name in WRITTEN:
         assert (image / name).read_text().strip() in printed
-    again = call(*applied, "--root", image).output
+    again = call(*applied, "--root", image)
     assert again.count("already up to date") == 3
     call(*support)
     assert (tmp_path / "bundle.zip").exists()
@@ -159,7 +153,7 @@ def test_what_the_service_user_cannot_read_is_named(tmp_path) -> None:
     config.chmod(0o640)
     config.parent.chmod(0o750)
     assert closed_to_others(config) in (config.parent, *tmp_path.parents)
-    warned = call("service", "install", "-c", config).stderr
+    warned = CliRunner().invoke(app, ["service", "install", "-c", str(config)]).stderr
     assert "no interface is open: set serve.http_port" in warned
     assert f"{config}: the user tactile-cell cannot read /" in warned
 
@@ -438,7 +432,7 @@ def cell(
 def packed(folder: Path) -> dict[str, bytes]:
     """Return the members of a new bundle."""
     file = folder / "bundle.zip"
-    printed = call("service", "support", file, "-c", folder / "cell.yaml").output
+    printed = call("service", "support", file, "-c", folder / "cell.yaml")
     with ZipFile(file) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     assert all(name in printed for name in members)

@@ -59,10 +59,8 @@ def test_a_number_has_a_range_and_may_have_a_default(typed, lines, default, answ
 
 
 def test_a_refused_restore_names_the_command_that_asks_again(tmp_path, monkeypatch) -> None:
-    def refused(*_bench: object, **_begin: object) -> None:
-        leave("refused")
-
-    monkeypatch.setattr("cell.interfaces.cli.commands.commission.restore_servos", refused)
+    restore = "cell.interfaces.cli.commands.commission.restore_servos"
+    monkeypatch.setattr(restore, lambda *_bench, **_begin: leave("refused"))
     options = ["--restore", "--servo-port", "/dev/ttyUSB0"]
     ended = CliRunner().invoke(app, ["commission", str(tmp_path), *options])
     assert ended.exit_code == 1

@@ -22,6 +22,7 @@ from tactile.source import (
     TactileFrame,
 )
 from tests.fuzz.harness import Clock
+from tests.values import raising
 
 LAYOUT = pinch_layout()
 N = LAYOUT.n_taxels
@@ -194,16 +195,10 @@ def test_wrong_statistics_are_a_fault(
 
 
 def test_its_own_faults_stay_what_they_are(guard: GuardedSource, source: Source) -> None:
-    def silent() -> Arrivals:
-        raise FrameTimeout("silent")
-
-    def too_early() -> Arrivals:
-        raise LinkStateError("start it first")
-
-    source.then = too_early
+    source.then = raising(LinkStateError("start it first"))
     with pytest.raises(LinkStateError):
         guard.poll()
-    source.then = silent
+    source.then = raising(FrameTimeout("silent"))
     for _ in range(2):
         with pytest.raises(FrameTimeout, match="silent"):
             guard.poll()

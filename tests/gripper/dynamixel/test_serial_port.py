@@ -11,6 +11,7 @@ import pytest
 
 from gripper.dynamixel.serial_port import SdkPort, SerialStream, latency_timer_ms, serial_candidates
 from gripper.errors import LimitExceeded, PortLost
+from tests.values import raising
 
 
 @pytest.fixture
@@ -62,9 +63,7 @@ def test_a_baud_rate_that_no_servo_knows_is_refused(terminal) -> None:
 
 
 def test_no_right_to_open_says_so(tmp_path, monkeypatch) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
+    refuse = raising(PermissionError(13, "Permission denied"))
     path = tmp_path / "tty"
     path.touch()
     monkeypatch.setattr("gripper.dynamixel.serial_port.serial.Serial", refuse)
