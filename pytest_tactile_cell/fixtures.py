@@ -148,7 +148,7 @@ def simulated_cell(
 def cell_runtime(cell_config: "CellConfig", cell_faults: FaultRegistry) -> "MakeCell[CellRuntime]":
     """Load the plugin of a host program on simulated devices: ``cell = cell_runtime(mover=move)``.
 
-    This is the TactileCellPlugin of the README, in virtual time on a thread of its own: start,
+    This is the plugin of docs/reference/plugin.md, in virtual time on a thread of its own: start,
     feedback, result, release. grip_n() is the true force. Hardware is never used. Settings: config,
     objects, seed, changes, and the arguments of TactileCellPlugin: mover, places, model, save,
     folder. The end of the test closes it.

@@ -4,8 +4,8 @@ Frames
 ------
 Finger frame: origin in the middle of the inner (gripping) face, x along the finger towards the tip,
 y across, z out of the inner face towards the other finger. The two fingers are mirror images in the
-centre plane of the gripper: x and y point the same way for both, so taxels of equal row and column
-on two equal inner pads face each other, and finger 1's frame is left-handed.
+centre plane of the gripper: x and y point the same way for both. So taxels of equal row and column
+on two equal inner pads face each other. The frame of finger 1 is left-handed.
 
 Pad plane: origin in the pad's centre, x along the rows' direction, y along the columns' direction.
 """

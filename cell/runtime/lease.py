@@ -125,7 +125,7 @@ class Lease:
         self._over.set()
 
     def close(self) -> None:
-        """End the watch."""
+        """End the supervision of the lease."""
         self.end_watch()
         if self._thread is not None:
             self._thread.join()

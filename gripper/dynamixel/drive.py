@@ -215,7 +215,7 @@ class Drives:
         first that of an XM430, 1.3 to 1.8. [log]"""
 
     def of(self, servo_id: int, unmeasured: DriveCharacteristic) -> DriveCharacteristic:
-        """Return that of a servo; if it was never measured, ``unmeasured``."""
+        """Return the drive characteristic of a servo; if it was never measured, ``unmeasured``."""
         return self._newest.get(servo_id, unmeasured)
 
     @property

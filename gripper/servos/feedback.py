@@ -317,7 +317,7 @@ class TickMark(NamedTuple):
     """Host's time before its request, and the latest host's time of its tick, in s."""
 
     def rate(self, tick_s: float, host_s: float) -> float:
-        """Return host seconds per servo second since then, limited to possible values."""
+        """Return host seconds per servo second since the mark, limited to possible values."""
         ticks_s = tick_s - self.tick_s
         if ticks_s <= 0.0:
             return _LARGEST_RATE

@@ -337,7 +337,10 @@ class Servos:
         for servo_id in self._ids:
             if self._bus.read(servo_id, OPERATING_MODE) != OperatingMode.CURRENT_BASED_POSITION:
                 raise ServoFault(
-                    servo_id, 0, "its operating mode is no longer 5 (current-based position)"
+                    servo_id,
+                    0,
+                    "its operating mode is no longer 5 (current-based position): it restarted, or "
+                    "another program wrote to it. Clear the fault, then reset",
                 )
 
     def _hold_present_position(self, current_a: float) -> None:

@@ -311,7 +311,7 @@ def _common(taught: SelfZero, today: SelfZero) -> tuple[float, float, float]:
     """Return the correction of the grasps of today on both pads, and that the foam is another one.
 
     The first two are mean and standard deviation of a logarithm: the counts for each mm over those
-    at teaching, which are the gain of the sensors times the stiffness of the foam. The last is a
+    at teaching. These are the gain of the sensors times the stiffness of the foam. The last is a
     probability.
 
     On foam of s times the modulus, a part with s times the force makes the same footprint with s

@@ -59,9 +59,9 @@ def left_out_parts(
             parts.append((part[0], part[1]))
     if not parts:
         raise ValueError(
-            f"no object of {len(set(groups))} days, cells or series has {least} grasps in another "
-            "one: none can be left out; add grasps of the same objects of another day, or name the "
-            "series"
+            f"no object has {least} grasps in each of two of the {len(set(groups))} days, cells or "
+            "series: none can be left out. Add grasps of the same objects on another day, or name "
+            "the series"
         )
     return parts
 

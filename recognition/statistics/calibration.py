@@ -59,7 +59,9 @@ def check_temperature(temperature: float) -> None:
     """Raise ValueError for a temperature that no teaching gives."""
     largest = np.exp(2.0 * _LOG_TEMPERATURES[1])
     if not 1.0 / largest < temperature < largest:
-        raise ValueError(f"temperature is {temperature:g}, beyond 1/{largest:.0f} to {largest:.0f}")
+        raise ValueError(
+            f"temperature is {temperature:g}, must be from 1/{largest:.0f} to {largest:.0f}"
+        )
 
 
 def to_probability(scores: NDArray[np.float64], temperature: float) -> NDArray[np.float64]:

@@ -157,7 +157,9 @@ class PolledSdoClient(SdoClient):
                 data += piece
                 if len(data) > MAX_OBJECT_BYTES:
                     self.abort(_ABORT_OUT_OF_MEMORY)  # type: ignore[no-untyped-call]
-                    raise SdoCommunicationError(f"more than {MAX_OBJECT_BYTES} bytes")
+                    raise SdoCommunicationError(
+                        f"the SDO answer has more than {MAX_OBJECT_BYTES} bytes: check the EDS"
+                    )
         if size is not None and len(data) != size:
             raise SdoCommunicationError(f"{len(data)} bytes came, {size} were announced")
         variable = self.od.get_variable(index, subindex)

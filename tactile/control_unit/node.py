@@ -56,7 +56,7 @@ from tactile.source import (
 _Result = TypeVar("_Result")
 
 _TRIPS = 10
-"""Answers of which one must come in time: a busy host may delay some."""
+"""Number of answers; one of them must come in time. A busy host may delay some."""
 _SURPLUS_ANSWERS = 3
 """Surplus of SDO answers over requests that shows a second unit, not one double message."""
 _LEAST_GAP = 0.9

@@ -1,10 +1,10 @@
 """The force message: the force on both gripping pads in 8 bytes, many times a second. Pure.
 
 Byte 0 has the counter in the low nibble, the status in the high one. Then follow the force on
-finger 0 and finger 1 (i16 little-endian, 2 mN) and the centre of force of both pads together, along
-and across the fingers (i8, 1/16 of the taxels' pitch from the middle of the pads). The last byte is
-the CRC-8 of SAE J1850 over the 7 bytes before it. This is similar to AUTOSAR's E2E profile 1, with
-a counter of 4 bits and a CRC of 8.
+finger 0 and finger 1 (i16 little-endian, 2 mN). The next two bytes are the centre of force of both
+pads together, along and across the fingers (i8). Its unit is 1/16 of the taxels' pitch, from the
+middle of the pads. The last byte is the CRC-8 of SAE J1850 over the 7 bytes before it. This is
+similar to AUTOSAR's E2E profile 1, with a counter of 4 bits and a CRC of 8.
 
 The host writes two objects for the sum of the force, each with a CRC-16 at its end. They are the
 table of counts to force and the zero of each taxel. Equation (11) is not linear in counts, so the

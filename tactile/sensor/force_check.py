@@ -42,7 +42,7 @@ _BELOW_SIGMAS = 13.0
 """Further allowed deficit of the frames in standard deviations of one taxel, because they leave out
 taxels below a threshold. At 0.045 N of noise six frames had a deficit of 0.65 N."""
 _UNSEEN_N, _UNSEEN_SIGMAS = 1.4, 30.0
-"""Largest force in N of which a frame may show nothing, or in standard deviations of one taxel if
+"""Largest force in N that a frame may miss, or in standard deviations of one taxel if
 that is more: then all taxels are below the threshold. Six frames in a row showed nothing at 0.8 N,
 with 0.1 N of noise at 1.2 N."""
 _CENTRE_TAXELS = 0.3
