@@ -226,19 +226,15 @@ EXCHANGED = (PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0))
 CONFIGS = Path(__file__).parents[3] / "config"
 
 
-def with_sensor(preset: str, sensor: str) -> CellConfig:
-    """Return a gripper preset with the pads of another preset, or those of the default cell."""
-    pads = CellConfig() if sensor == "unit" else load_config(CONFIGS / f"{sensor}.yaml")
-    return load_config(CONFIGS / f"{preset}.yaml").model_copy(update={"tactile": pads.tactile})
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("preset", "sensor"),
     [("rh-p12-rn", "flexitac"), ("open-parallel-gripper", "uskin"), ("rh-p12-rn", "unit")],
 )
 def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path, monkeypatch) -> None:
-    base = with_sensor(preset, sensor)
+    # A gripper preset with the pads of another preset, or those of the default cell.
+    pads = CellConfig() if sensor == "unit" else load_config(CONFIGS / f"{sensor}.yaml")
+    base = load_config(CONFIGS / f"{preset}.yaml").model_copy(update={"tactile": pads.tactile})
     # Boards have exchanged pads and another law than the preset.
     boards = sensor != "unit"
     settings = replace(

@@ -13,7 +13,7 @@ from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
-from unittest.mock import AsyncMock, Mock
+from unittest.mock import AsyncMock, MagicMock, Mock
 from xmlrpc.client import ServerProxy
 
 import numpy as np
@@ -561,24 +561,18 @@ def test_the_address_of_the_page_suits_a_browser(*, listen, allow, more, address
 
 
 def test_the_address_for_others_is_that_of_this_machine_on_their_way(monkeypatch) -> None:
-    asked = []
-
-    class Link(socket.socket):
-        def connect(self, address: Any) -> None:
-            asked.append(address[0])
-            if address[0].startswith("10."):
-                raise OSError("no route")
-
-        def getsockname(self) -> Any:
-            return ("192.168.7.3", 40000)
-
-    monkeypatch.setattr(socket, "socket", Link)
+    link = MagicMock()
+    link.__enter__.return_value = link
+    link.connect.side_effect = [OSError("no route"), None] * 2
+    link.getsockname.return_value = ("192.168.7.3", 40000)
+    monkeypatch.setattr(socket, "socket", lambda *_family: link)
     config = CellConfig(
         serve={"listen": "0.0.0.0", "allow": ("10.0.0.0/8", "192.168.7.0/24")}
     ).serve
     browsed = page_address({"http_port": 7, "view_token": "v"}, config, "view_token")
     assert (browsed, view_note(config)) == ("http://192.168.7.3:7/#token=v", "")
-    assert asked[:2] == ["10.128.0.0", "192.168.7.128"]
+    asked = [call.args[0][0] for call in link.connect.call_args_list]
+    assert asked == ["10.128.0.0", "192.168.7.128"] * 2
 
 
 # -- What the server refuses before every HTTP application, and when it answers --------------------
