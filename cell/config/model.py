@@ -97,7 +97,7 @@ class CellConfig(Section):
     format: Literal["tactile-cell-config/1"] = "tactile-cell-config/1"
     """Format of this file, and its version. Without this key it counts as the present one."""
     name: str = Field(default="simulated cell", min_length=1, max_length=80)
-    """Name of the cell, for reports."""
+    """Name of the cell, for reports and its files; `unnamed cell` with real ports."""
     seed: int = Field(default=2008, ge=0, le=2**32 - 1)
     """Seed of all random values: poses, noise of the simulated cell."""
     host_timeout_s: float | None = Field(default=None, ge=0.05, le=3600.0)
@@ -145,6 +145,8 @@ class CellConfig(Section):
                 f"sequence.carry_force_n is {carry_n:g} N; it must be at least "
                 f"gripper.contact_force_n = {contact_n:g} N"
             )
+        if not self.simulated and "name" not in self.model_fields_set:
+            object.__setattr__(self, "name", "unnamed cell")
         with raised_as(ValueError, ConfigError):
             layout = layout_from_config(self.tactile)
         with raised_as(ValueError, LayoutError, where="tactile"):

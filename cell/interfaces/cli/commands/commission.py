@@ -197,7 +197,10 @@ def commission(
     redo: Annotated[
         list[str] | None,
         typer.Option(
-            "--redo", metavar="STEP", help="Repeat a step and all steps that depend on it."
+            "--redo",
+            metavar="STEP",
+            help="Repeat a step and all steps that depend on it: ports, servos, fingers, unit, "
+            "pads_at_rest, pads_pressed, pads_law or first_force.",
         ),
     ] = None,
     restore: Annotated[

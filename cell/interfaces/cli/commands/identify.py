@@ -38,7 +38,7 @@ def identify(
     follow: Annotated[
         bool,
         typer.Option(
-            "--follow", help="Correct the drift of the sensors through the recorded grasps."
+            "--follow", help="With DATASET: correct the drift of the sensors through its grasps."
         ),
     ] = False,
     keep: Annotated[

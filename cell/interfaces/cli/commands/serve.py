@@ -111,7 +111,10 @@ def serve(
     ] = None,
     allow: Annotated[
         list[str] | None,
-        typer.Option("--allow", help="Host or network that may connect; repeat for several."),
+        typer.Option(
+            "--allow",
+            help="Host or network that may connect; repeat for several [default: this machine].",
+        ),
     ] = None,
     modbus_port: Annotated[int | None, _port("--modbus", "Modbus TCP", "modbus_port")] = None,
     xmlrpc_port: Annotated[int | None, _port("--xml-rpc", "XML-RPC", "xmlrpc_port")] = None,

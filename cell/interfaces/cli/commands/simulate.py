@@ -22,7 +22,11 @@ from simulator.realtime.hands import Hands
 def simulate(
     config: options.Config = None,
     folder: Annotated[
-        Path | None, typer.Option("--out", help="Folder for device links and a matching config.")
+        Path | None,
+        typer.Option(
+            "--out",
+            help="Folder for device links and a matching config [default: a temporary one].",
+        ),
     ] = None,
     seed: options.Seed = None,
     faults: options.Faults = None,
