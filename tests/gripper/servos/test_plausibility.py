@@ -142,6 +142,7 @@ def test_turns_of_a_servo_without_torque_do_not_matter(started) -> None:
 @pytest.mark.parametrize("offset_raw", [-4096, 800])
 def test_no_goal_is_made_of_a_position_far_from_the_one_in_force(cell, offset_raw) -> None:
     cell.hold_part(RAMP)
+    assert cell.register(0, "profile_acceleration") == 0, "the loop plans the motion"
     cell.gripper.close()
     cell.servos[0].reported_offset_raw = offset_raw
     goal_raw = cell.register(0, "goal_position")
