@@ -96,7 +96,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Refuse incomplete options."""
+    """Register the mark of the contracts, and refuse incomplete options."""
+    config.addinivalue_line("markers", "slow: takes more than a second of processor")
     options = HardwareOptions.of(config)
     if (options.can_interface is None) != (options.can_channel is None):
         raise pytest.UsageError("--can-interface and --can-channel need each other: name both")
