@@ -420,8 +420,7 @@ def test_drives_are_kept_with_their_servo_and_without_a_zero_too(tmp_path: Path)
         {"gripper.servos": [{"id": 3}, {"id": 2}]},
     ):
         other = stored_zeros(changed_config(here, change), tmp_path)
-        assert not other.stored_drives(homing)
-        assert not other.measured_servo(1)
+        assert (other.stored_drives(homing), other.measured_servo(1)) == ({}, False)
     assert later.measured_servo(1)
 
 

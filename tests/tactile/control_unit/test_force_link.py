@@ -92,6 +92,13 @@ def test_a_table_that_the_unit_does_not_keep_is_refused(make_forces) -> None:
         sending.link.start()
 
 
+@pytest.mark.parametrize(
+    ("key", "value_s", "allowed_s"), [("sync_period_s", 0.05, 0.1), ("force_period_s", 0.05, 0.2)]
+)
+def test_two_frames_or_four_messages_may_be_missing(key, value_s, allowed_s) -> None:
+    assert LinkSettings(**{key: value_s}).force_timeout_s == pytest.approx(allowed_s)
+
+
 @pytest.mark.parametrize(("knob", "silence_s"), [("forces_off", 0.2), ("dead", 0.2)])
 def test_a_longer_silence_is_allowed_where_that_is_set(make_forces, knob, silence_s) -> None:
     sending = started(make_forces(silence_s=silence_s, heartbeat_s=1.0))
