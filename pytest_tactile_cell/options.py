@@ -97,7 +97,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Register the mark of the contracts, and refuse incomplete options."""
-    config.addinivalue_line("markers", "slow: takes more than a second of processor")
+    config.addinivalue_line("markers", "slow: more than 0.3 s of processor")
     options = HardwareOptions.of(config)
     if (options.can_interface is None) != (options.can_channel is None):
         raise pytest.UsageError("--can-interface and --can-channel need each other: name both")

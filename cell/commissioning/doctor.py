@@ -66,12 +66,9 @@ class Commissioning:
         changes = self._change("control unit", "unit", serial, now.serial, "serial {}") or (
             self._change("firmware of the unit", "unit", revision, now.revision, "revision {:#x}")
         )
-        was, text = (
-            pads.get("board_serial_numbers", now.boards),
-            "serial {0[0]} on finger 0, {0[1]}",
-        )
-        boards = self._change("pads", "pads_at_rest", tuple(was), now.boards, f"{text} on finger 1")
-        return changes + boards
+        was = tuple(pads.get("board_serial_numbers", now.boards))
+        text = "serial {0[0]} on finger 0, {0[1]} on finger 1"
+        return changes + self._change("pads", "pads_at_rest", was, now.boards, text)
 
     def changed_servos(self, servos: Mapping[int, tuple[str, int]]) -> list[Finding]:
         """Return the differences of servos; ``servos`` are model and firmware by ID."""

@@ -56,6 +56,9 @@ class Dialog(Protocol):
     plain confirmation.
     """
 
+    log: Callable[[Sequence[ProposedChange]], None] | None = None
+    """Gets the approved writes of a step; the engine sets it."""
+
     def start_step(self, step: "Step", number: int, count: int) -> None:
         """Show the step that begins: its title and purpose, as ``number`` of ``count``."""
 
@@ -85,14 +88,11 @@ class Dialog(Protocol):
     def ask_consent(self, writes: Sequence[ProposedChange]) -> None:
         """Show changes and motions before they are done; raises `WizardAborted` on refusal."""
 
-    def log(self, writes: Sequence[ProposedChange]) -> None:
-        """Keep approved writes; the engine replaces it."""
-        return
-
     def approve(self, writes: Sequence[ProposedChange]) -> None:
         """Ask for consent as `ask_consent`, then log the writes."""
         self.ask_consent(writes)
-        self.log(writes)
+        if self.log is not None:
+            self.log(writes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,7 +245,7 @@ class Engine:
             self.approved += [replace(write, step=step.key, at=at) for write in writes]
             self._store()
 
-        dialog.log = log  # type: ignore[method-assign]
+        dialog.log = log
         notes = carry_out(step, self.bench, dialog)
         self.notes[step.key] = notes
         self._store()

@@ -98,10 +98,8 @@ def check_port(key: str, port: str) -> Iterator[Finding]:
         try:
             SerialStream(port, _BAUD_RATE).close()
         except PortLost as error:
-            text, advice = (
-                str(error),
-                f"end a program that uses it; if {key} names another port, correct it",
-            )
+            text = str(error)
+            advice = f"end a program that uses it; if {key} names another port, correct it"
     yield check_result(key, text, advice, ok=not advice, bad=Verdict.FAIL)
     timer_ms = latency_timer_ms(port)
     if timer_ms is not None:

@@ -642,12 +642,14 @@ def run_bench(rig: Rig, dialog: Dialog, folder: Path) -> tuple[Path, ...]:
 
 
 def _write(rig: Rig, values: Values, done: Sequence[str], folder: Path) -> tuple[Path, ...]:
+    folder.mkdir(parents=True, exist_ok=True)
     name = f"servo-bench-{rig.model.name.lower()}-id{rig.servo_id}"
     log = free_name(folder / f"{name}.csv")
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow(Reading._fields)
     writer.writerows(rig.log)
+    write_text(log, text.getvalue(), error=CellError, what="log of the bench")
     result = log.with_suffix(".json")
     content = {
         "model": rig.model.name,
@@ -656,5 +658,4 @@ def _write(rig: Rig, values: Values, done: Sequence[str], folder: Path) -> tuple
         "values": values,
     }
     write_json(result, SERVO_BENCH, content, error=CellError)
-    write_text(log, text.getvalue(), error=CellError, what="log of the bench")
     return log, result

@@ -123,10 +123,13 @@ def save_model(path: Path | str, trained: Trained, pads: PadArray) -> None:
     kind = type(trained.recognizer)
     if _class_of(path, trainer_name, kind.__name__) is not kind:
         raise ModelError(f"cannot write model {path}: {kind.__name__} is not of {trainer_name!r}")
-    if zipfile.is_zipfile(path) and f"{_DATASET}.npy" in zipfile.ZipFile(path).namelist():
-        raise ModelError(
-            f"{path} is a data set; a model would replace its grasps: choose another name for -o"
-        )
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as present:
+            if f"{_DATASET}.npy" in present.namelist():
+                raise ModelError(
+                    f"{path} is a data set; a model would replace its grasps: choose another name "
+                    "for -o"
+                )
     parts = {_PREFIX: trained.recognizer.to_arrays(), _TRAINING: trained.training_set}
     arrays: dict[str, NDArray[Any]] = pads.to_arrays(_PADS) | {
         prefix + name: np.asarray(array)

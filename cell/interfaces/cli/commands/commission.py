@@ -199,8 +199,8 @@ def commission(
         typer.Option(
             "--redo",
             metavar="STEP",
-            help="Repeat a step and all steps that depend on it: ports, servos, fingers, unit, "
-            "pads_at_rest, pads_pressed, pads_law or first_force.",
+            help="Repeat a step and all steps that depend on it: "
+            f"{', '.join(step.key for step in all_steps())}.",
         ),
     ] = None,
     restore: Annotated[
