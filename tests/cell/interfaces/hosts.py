@@ -68,18 +68,6 @@ class Plc:
         return inputs[6]
 
 
-_PART = ("Number", "LabelId", "Probability", "Size", "Place")
-
-
-def _texts(part: list[int]) -> dict[str, str]:
-    """Return the names of label and place in the registers of a part."""
-    data = struct.pack(">32H", *part[8:])
-    return {
-        "Label": data[:32].rstrip(b"\0").decode("ascii"),
-        "PlaceName": data[32:].rstrip(b"\0").decode("ascii"),
-    }
-
-
 class BlockPlc:
     """A PLC whose program is the block of the example: one exchange with the cell each cycle."""
 
@@ -87,8 +75,6 @@ class BlockPlc:
         self.plc = plc
         self.block = FunctionBlock()
         self.connected = True
-        self.parts: list[dict[str, Any]] = []
-        """Each part at which the block has shown a new one."""
 
     def __getitem__(self, name: str) -> Any:
         return self.block[name]
@@ -99,10 +85,6 @@ class BlockPlc:
         blocks = {"Inputs": self.plc.inputs()[:64], "Part": self.plc.part()}
         written = self.block.call(**(blocks | wanted | inputs))
         self.connected = self.plc.write(0, *written) == 0
-        if self["NewPart"]:
-            self.parts.append(
-                {name: self[f"Part{name}"] for name in _PART} | _texts(blocks["Part"])
-            )
         return self
 
     def ready(self) -> "BlockPlc":

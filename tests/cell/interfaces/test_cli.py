@@ -27,7 +27,7 @@ from cell.control.records import GraspRecord
 from cell.errors import ConfigError, RecordingError
 from cell.interfaces.cli import main
 from cell.interfaces.cli.app import app
-from cell.interfaces.cli.commands.run import confusion_table, result_lines
+from cell.interfaces.cli.commands.run import confusion_table
 from cell.interfaces.cli.terminal import (
     ask,
     percent,
@@ -37,7 +37,6 @@ from cell.interfaces.cli.terminal import (
     print_note,
     print_table,
     progress_bar,
-    show,
 )
 from cell.learning.model import load_model, save_model
 from cell.learning.training import train
@@ -150,33 +149,6 @@ def test_tables_lose_nothing_on_narrow_terminals_and_in_pipes(monkeypatch, width
     assert ("│" in text) == (width == 80)
     if width is None:
         assert text.splitlines()[:2] == ["held:", "  long_name: long_name 9, UNKNOWN 1"]
-
-
-def test_the_paper_is_put_beside_its_five_objects(capsys) -> None:
-    from cell.report.confusion import score
-    from cell.runtime.main_job import MainResult
-
-    labels = ("box", "ball", "oval", "cylinder", "dumbbell")
-    result = MainResult(
-        labels=labels,
-        default="force_ramp",
-        n_taught=0,
-        seconds=1.0,
-        scores=dict.fromkeys(("force_ramp", "level_check"), score("", labels, labels, labels)),
-        parts=(),
-        trials=(),
-        dataset=Path("model.grasps.npz"),
-        model=Path("model.npz"),
-        recording=None,
-    )
-    show(result_lines(result, {}))
-    lines = capsys.readouterr().out.splitlines()
-    assert "its Table 1): 48 of 50 right" in lines[0]
-    assert "  ball: ball 90, cylinder 10" in lines
-    # Two answers that are right alike have one table.
-    assert sum("5 of 5 right, 0 wrong" in line for line in lines) == 2
-    assert lines.count("  ball: ball 1") == 1
-    assert "One grasp takes 0.0 s of the cell's time." in lines
 
 
 @pytest.mark.slow
@@ -738,13 +710,8 @@ def test_sort_prints_how_many_parts_lie_where(config, model, tmp_path) -> None:
     assert "mistakes: none" in printed
     written = read_json(report)
     assert written["places"] == {"ball": 1, "box": 1, "reject": 0}
-    assert written["matrix"]["box"] == {"ball": 0, "box": 1, "reject": 0}
-    recording = read_recording(written["recording"])
-    events = [(event["kind"], event["text"]) for event in recording.events]
-    assert [kind for kind, _ in events if kind in ("place", "release")] == ["place", "release"] * 2
-    assert ("place", "box at box") in events
+    events = [event["text"] for event in read_recording(written["recording"]).events]
+    assert "box at box" in events
     page = Path(written["recording"]).with_name("report.html")
     assert call("recording", "report", written["recording"]) == f"report: {page}\n"
-    text = page.read_text("utf-8")
-    assert all(one in text for one in ("0 grasps taught", "released at: box"))
-    assert '<section id="trajectories">' not in text
+    assert "released at: box" in page.read_text("utf-8")

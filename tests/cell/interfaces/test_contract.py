@@ -41,7 +41,7 @@ from cell.service.service import RELEASE_KEY
 from gripper.errors import ServoFault
 from recognition.recognizer import UNKNOWN
 from tests.cell.conftest import small_config
-from tests.cell.interfaces.hosts import HOSTS, NOT_IN_COMMAND, BlockPlc, Client, Host, Plc, Request
+from tests.cell.interfaces.hosts import HOSTS, NOT_IN_COMMAND, Client, Host, Plc, Request
 from tests.cell.served import ROUND, Served, pause
 from tests.waiting import LIMIT_S, until
 
@@ -230,58 +230,34 @@ def test_poses_are_reached_or_refused(connect: Connect) -> None:
 # -- Each part as hosts see it: once, and with all it has ------------------------------------------
 
 
-PLACES = ("ball", "box", "reject")
-
-
-@pytest.mark.slow
 def test_each_part_reaches_plc_robot_and_program_once(serve) -> None:
-    served = serve("modbus", "xmlrpc", "http", serve__objects=["box", "ball"])
-    plc = BlockPlc(Plc(served.interfaces["modbus_port"])).ready()
+    served = serve("modbus", "xmlrpc", "http")
+    plc = Plc(served.interfaces["modbus_port"])
     cell = ServerProxy(f"http://127.0.0.1:{served.interfaces['xmlrpc_port']}/RPC2")
     host = Client(served.interfaces)
     sent: list[dict[str, Any]] = []
-    with cell, host.live("&parts_after=0") as link, closing(plc.plc.link):
-        for number, (label, label_id, place_id) in enumerate(
-            (("ball", 2, 1), ("box", 1, 2), (UNKNOWN, 0, 3)), start=1
-        ):
-            place, probability = PLACES[place_id - 1], 0.9 - 0.01 * number
-            part = Part(
-                number=number,
-                task="sort",
-                label=label,
-                label_id=label_id,
-                probabilities={label: probability},
-                shape=ROUND,
-                place=place,
-                place_id=place_id,
-                rejected=place == "reject",
-            )
-            served.plugin.on_part(part, None)
-            plc.cycle()
-            names = {"label": label, "label_id": label_id, "place": place, "place_id": place_id}
-            assert cell.part() == number
-            for name, value in (names | {"probability": probability, "size": 9.5}).items():
-                assert getattr(cell, f"part_{name}")(number) == value
+    with cell, host.live("&parts_after=0") as link, closing(plc.link):
+        for number, label in enumerate(("ball", UNKNOWN), start=1):
+            probability, label_id = 0.9 - 0.01 * number, served.plugin.label_id(label)
+            named = {"label": label, "label_id": label_id, "place": "tray", "place_id": 2 + number}
+            known = {"probabilities": {label: probability}, "shape": ROUND}
+            served.plugin.on_part(Part(number=number, task="sort", **known, **named), None)
             while len(sent) < number:
                 message = json.loads(link.recv(LIMIT_S))
                 if message.get("event") == "part":
                     sent.append(message["part"])
                 else:  # the event comes first
                     assert len(message["shift"]["answers"]) <= len(sent)
-            values = names | {"number": number, "probability": probability, "size_mm": 9.5}
+            values = named | {"number": number, "probability": probability, "size_mm": 9.5}
             assert {name: sent[-1][name] for name in values} == values
-            assert plc.cycle()["NewPart"] is False
-            assert plc.parts[number - 1 :] == [
-                {
-                    "Number": number,
-                    "LabelId": label_id,
-                    "Probability": round(1e4 * probability),
-                    "Size": 950,
-                    "Place": place_id,
-                    "Label": label,
-                    "PlaceName": place,
-                }
-            ]
+            assert cell.part() == number
+            for name, value in (named | {"probability": probability, "size": 9.5}).items():
+                assert getattr(cell, f"part_{name}")(number) == value
+            words = plc.part()
+            assert words[:5] == [number, label_id, round(1e4 * probability), 950, 2 + number]
+            for first, text in ((8, label), (24, "tray")):
+                written = struct.pack(">16H", *words[first : first + 16])
+                assert written.rstrip(b"\0").decode("ascii") == text
         assert sent == host.get("/api/state")["shift"]["answers"]
 
 

@@ -88,9 +88,15 @@ def page(report: Page, tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.mark.slow
-def test_page_needs_nothing_but_itself(page) -> None:
+def test_page_has_each_part_and_needs_nothing_but_itself(page, report) -> None:
     assert len(page.encode()) < 3_000_000
     outline = Outline(page)
+    parts = ("result", "shapes", "sequences", "examples", "health", "cell", "notes")
+    assert tuple(report.sections) == parts
+    assert {*parts} <= {*outline.values("id")}
+    for place, label in enumerate(report.labels):
+        assert f'class="chip c{place}"></span>{label}' in page
+        assert f".c{place} {{ background: {colour(place)}; }}" in page
     assert not {"script", "link", "iframe", "object"} & set(outline.tags)
     references, ids = outline.values("src", "href", "xlink:href"), outline.values("id")
     images = [one for one in references if not one.startswith("#")]
@@ -106,21 +112,6 @@ def test_page_needs_nothing_but_itself(page) -> None:
         ElementTree.fromstring(one)
     for words in (b"set-point", b"goal current / mA", b"opening / mm"):
         assert all(words in one for one in drawn)
-
-
-@pytest.mark.slow
-def test_page_shows_every_part(page, report) -> None:
-    text = " ".join("".join(Outline(page).text).split())
-    parts = ("result", "shapes", "sequences", "examples", "health", "cell", "notes")
-    assert tuple(report.sections) == parts
-    for part in parts:
-        assert f'<section id="{part}">' in page
-    texts = [one for tile in report.tiles for one in tile]
-    texts += [text for key in ("Cell", "Files") for text in report.sections["cell"]["facts"][key]]
-    texts += [one.note for rows in report.sections["health"]["groups"].values() for one in rows]
-    for words in (*texts, "2 of 2 right", "100.0 %34.2 to 100.0", "other 8 pads were not touched"):
-        assert " ".join(words.split()) in text, words
-    assert page.count('class="card example"') == 2
 
 
 NASTY = "<script>alert('x')</script>&\"$\\frac{1}{2}$ id=\""
@@ -152,11 +143,6 @@ def test_labels_and_paths_are_shown_not_interpreted() -> None:
     assert sum(NASTY in text for text in outline.text) == 25
 
 
-@pytest.mark.long
-def test_same_recording_gives_the_same_page(page, recording) -> None:
-    assert render_report(recorded_report(recording)) == page
-
-
 def test_darker_shade_means_more_pressure_and_a_touched_side_is_drawn(recording) -> None:
     taxels = LAYOUT.taxels_of(0)
     values = np.zeros(taxels.stop - taxels.start)
@@ -180,16 +166,6 @@ def test_darker_shade_means_more_pressure_and_a_touched_side_is_drawn(recording)
         assert all([name for name, _ in pads] == names for *_, pads in one["levels"])
 
 
-def test_each_object_has_one_colour_on_the_whole_page(page, report) -> None:
-    for place, _ in enumerate(report.labels):
-        assert f".c{place} {{ background: {colour(place)}; }}" in page
-    chips = re.findall(r'class="chip (c\d)"></span>([^<]+)', page)
-    bars = re.findall(r'<i class="(c\d)"[^>]*title="([^ ]+) ', page)
-    expected = {(f"c{place}", label) for place, label in enumerate(report.labels)}
-    assert set(chips) == expected
-    assert set(bars) <= expected
-
-
 def test_the_figure_of_a_card_is_the_share_of_its_bar() -> None:
     p = Posterior(labels=("ball", "cylinder"), probability=np.array([0.001, 0.999]), unknown=0.23)
     for answer, share in (("cylinder", 77), (UNKNOWN, 23)):
@@ -198,9 +174,7 @@ def test_the_figure_of_a_card_is_the_share_of_its_bar() -> None:
         assert sum(float(width) for width, _ in bar) == pytest.approx(2 * 100.0, abs=0.4)
         assert bar[-1 if answer == UNKNOWN else -2][1] == f"{answer} {share} %"
         assert answer == UNKNOWN or f'<span class="mark">{share} %' in page
-    assert [percent(one) for one in (0.5, 0.995, 0.99999, 1.0)] == [
-        "50 %", "99.50 %", "99.99 %", "100 %",
-    ]  # fmt: skip
+    assert percent(0.99999) == "99.99 %"
 
 
 def test_many_labels_make_a_dense_table_and_few_sequences() -> None:
@@ -319,19 +293,10 @@ def test_all_shapes_are_drawn_on_one_scale() -> None:
     page = page_of(shapes=view)
     assert f"UNKNOWN: {stranger}" in page
     assert f'style="left:{at(15.9e-3):.2f}%"' in page
-    assert "it was bar" in page
-    assert "without shape 1 of 3" in page
-
-
-def test_many_shapes_are_counted_but_not_all_drawn() -> None:
-    one = make_shape("cylinder", 6.0)
-    rows = [shape_row("pin", one)] * (MAX_BARS + 5)
-    view = shapes_view(rows)
-    (group,) = view["groups"]
-    assert len(group["shapes"]) == MAX_BARS
-    assert group["kinds"] == f"cylinder {MAX_BARS + 5} of {MAX_BARS + 5}"
-    strange = shapes_view([shape_row("pin", one, UNKNOWN)] * (MAX_BARS + 5))
-    assert (len(strange["strangers"]), strange["n_hidden"]) == (MAX_BARS, 5)
+    many = shapes_view([shape_row("pin", make_shape("oval", 6.2), UNKNOWN)] * (MAX_BARS + 5))
+    (group,) = many["groups"]
+    assert (len(group["shapes"]), group["kinds"]) == (MAX_BARS, "oval 35 of 35")
+    assert (len(many["strangers"]), many["n_hidden"]) == (MAX_BARS, 5)
 
 
 # -- The report of a recording: whole, old, cut or spoiled -----------------------------------------
