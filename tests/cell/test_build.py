@@ -23,11 +23,7 @@ from cell.hand.local import sensor_settings
 from cell.interfaces.cli.app import app
 from cell.recording.dataset import read_grasps
 from cell.runtime import simulate
-from cell.simulation import (
-    InProcessPlacer,
-    simulated_objects,
-    simulator_settings,
-)
+from cell.simulation import InProcessPlacer, simulated_objects, simulator_settings
 from gripper.errors import PortLost
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase

@@ -246,11 +246,7 @@ def test_a_module_that_hides_a_package_is_named_where_a_cell_is_wanted(
     code = f"import sys; sys.path[:0] = [{str(tmp_path)!r}]; import cell.errors; {way}"
     kind = "error" if "main" in way else "ImportError"
     ended = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert ended.returncode == 1
     assert f"{kind}: {hiding} hides the package {name!r} of tactile-cell" in ended.stderr

@@ -13,12 +13,7 @@ from typing import Any
 
 from cell.config.file import load_config
 from tests.faults import campaign
-from tests.faults.campaign import (
-    FaultRow,
-    campaign_config,
-    carry_with_fault,
-    grasp_with_fault,
-)
+from tests.faults.campaign import FaultRow, campaign_config, carry_with_fault, grasp_with_fault
 
 REACTIONS = {
     "REJECT": "the start, command or file is refused, cause and remedy are named",

@@ -68,9 +68,7 @@ EARLIER = Commissioning(
     {
         "unit": {"serial_number": 7, "revision": 0x10001},
         "pads_at_rest": {"board_serial_numbers": [1, 2]},
-        "servos": {
-            "servos": [{"id": n, "model": "XM430-W350", "firmware": 46} for n in (1, 2)],
-        },
+        "servos": {"servos": [{"id": n, "model": "XM430-W350", "firmware": 46} for n in (1, 2)]},
     }
 )
 SOUND = SourceIdentity(name="unit", serial=7, revision=0x10001, boards=(1, 2))

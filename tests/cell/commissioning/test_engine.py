@@ -11,14 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import (
-    CONFIG_NAME,
-    RECORD_NAME,
-    Dialog,
-    Engine,
-    Step,
-    WizardAborted,
-)
+from cell.commissioning.engine import CONFIG_NAME, RECORD_NAME, Dialog, Engine, Step, WizardAborted
 from cell.commissioning.findings import STORE_NAME, Finding, Notes, ProposedChange, Verdict
 from cell.commissioning.walk import all_steps
 from cell.config.file import changed_config, config_text, load_config

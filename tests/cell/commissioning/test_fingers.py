@@ -8,11 +8,7 @@ import pytest
 
 from cell.commissioning.engine import WizardAborted
 from cell.commissioning.findings import Verdict
-from cell.commissioning.fingers import (
-    FINGERS,
-    KINDS,
-    fit_linkages,
-)
+from cell.commissioning.fingers import FINGERS, KINDS, fit_linkages
 from cell.commissioning.servos import SERVOS
 from cell.config.file import changed_config
 from gripper.servos.goal_limits import GoalWriter

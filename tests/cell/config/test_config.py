@@ -29,13 +29,7 @@ from cell.config.file import (
 from cell.config.model import CellConfig
 from cell.config.positioner import ServoAxisConfig
 from cell.config.section import Declared
-from cell.config.tactile import (
-    LayoutName,
-    PadConfig,
-    PadsConfig,
-    TactileConfig,
-    layout_from_config,
-)
+from cell.config.tactile import LayoutName, PadConfig, PadsConfig, TactileConfig, layout_from_config
 from cell.control.plan import GraspStep, Pose
 from cell.errors import ConfigError
 from cell.formats import CONFIG
@@ -77,10 +71,7 @@ def test_an_example_is_written_in_full_with_the_schema_named(name) -> None:
 
 @pytest.mark.parametrize(
     ("section", "key", "names"),
-    [
-        (FlexiTacConfig, "profile", PROFILES),
-        (CellConfig, "format", [str(CONFIG)]),
-    ],
+    [(FlexiTacConfig, "profile", PROFILES), (CellConfig, "format", [str(CONFIG)])],
 )
 def test_choices_are_those_of_the_part_that_they_set(section, key, names) -> None:
     assert set(get_args(section.model_fields[key].annotation)) == set(names)

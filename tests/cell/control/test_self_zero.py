@@ -105,10 +105,7 @@ def test_it_is_measured_on_other_hands(make_bench, hand: dict[str, Any]) -> None
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("when", "part"),
-    [
-        ("always", "sphere:diameter=9.5mm"),
-        ("on_demand", "cylinder:diameter=3mm,length=60mm"),
-    ],
+    [("always", "sphere:diameter=9.5mm"), ("on_demand", "cylinder:diameter=3mm,length=60mm")],
 )
 def test_a_part_that_was_left_is_named_and_kept_not_zeroed_on(make_bench, when, part) -> None:
     bench = make_bench(small_config(self_zero=when))

@@ -635,10 +635,7 @@ HEAVY = {"numpy", "scipy", "matplotlib", "canopen", "can", "rich", "serial", "jo
 
 @pytest.mark.parametrize(
     ("arguments", "environment"),
-    [
-        (["recording", "--help"], {}),
-        ([], {"COMP_WORDS": "tactile-cell hand ", "COMP_CWORD": "2"}),
-    ],
+    [(["recording", "--help"], {}), ([], {"COMP_WORDS": "tactile-cell hand ", "COMP_CWORD": "2"})],
 )
 def test_help_and_completion_load_nothing_heavy(arguments, environment) -> None:
     program = (

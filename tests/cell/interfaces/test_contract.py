@@ -25,12 +25,7 @@ from cell.control.part import Part
 from cell.control.plan import Keep, Pose
 from cell.control.states import Command
 from cell.errors import CellError
-from cell.interfaces.access import (
-    BUSY_MAX,
-    is_for_this_machine,
-    may_connect,
-    same_secret,
-)
+from cell.interfaces.access import BUSY_MAX, is_for_this_machine, may_connect, same_secret
 from cell.interfaces.cli.commands.serve import report_until
 from cell.interfaces.http_server import REQUEST_BYTES, HttpServer
 from cell.interfaces.modbus.registers import COMMANDS, VALUES

@@ -331,12 +331,7 @@ def test_the_description_has_a_text_for_each_path(host) -> None:
 @pytest.mark.slow
 def test_the_example_of_the_page_runs(served, host, capsys) -> None:
     exec(compile(page_examples(host)[0], "use-it-over-http.md", "exec"), {})
-    assert [job.task for job in served.plugin.jobs()] == [
-        "identify",
-        "verify",
-        "release",
-        "sort",
-    ]
+    assert [job.task for job in served.plugin.jobs()] == ["identify", "verify", "release", "sort"]
     assert "ball 0.9 sphere 9.5" in capsys.readouterr().out
     paths = host.ask("GET", "/openapi.json", token=None)[1]["paths"]
     described = {path.replace("{label:path}", "{label}") for path in paths}

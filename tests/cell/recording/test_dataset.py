@@ -116,11 +116,7 @@ DAMAGE: list[tuple[str, Callable[[Any], Any], str]] = [
     ("pad_shape", lambda a: a * 0, "rows and columns of a pad"),
     ("taxel_xy_mm", lambda a: a * np.nan, "not finite"),
     ("taxel_xy_mm", lambda a: a * 1e-3, r"the 6 taxels of pad 0 over 0\.013, .* in mm, not in m"),
-    (
-        "taxel_xy_mm",
-        lambda a: a * 1e3,
-        "-6500 at 0, must be from -1000 to 1000: places of .* mm",
-    ),
+    ("taxel_xy_mm", lambda a: a * 1e3, "-6500 at 0, must be from -1000 to 1000: places of .* mm"),
     ("aperture_mm", lambda a: a + np.inf, "is inf at 0, must be from"),
     ("aperture_mm", lambda a: a * 1e-3, r"never exceeds 0\.03, expected 0\.2 .* in mm, not in m"),
     ("aperture_mm", lambda a: -10.0 * a, "aperture_mm is -300 at 0, must be from -100 to 1000"),

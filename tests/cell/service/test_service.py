@@ -368,9 +368,7 @@ def test_no_part_is_exchanged_while_a_job_closes_on_it(serve: Any) -> None:
             service.choose_part(lease, "box", Pose())
 
     asked_s = once(
-        served.plugin.cell.simulated.clock,
-        lambda: hand.phase is GripperPhase.APPROACHING,
-        exchange,
+        served.plugin.cell.simulated.clock, lambda: hand.phase is GripperPhase.APPROACHING, exchange
     )
     service.start(lease, IDENTIFY)
     assert served.ended().part.label == "ball"

@@ -248,10 +248,7 @@ def test_the_profile_ends_on_the_goal_from_both_sides(acceleration: float):
 def test_a_profile_turned_round_starts_slowly_again():
     motor = ServoMotor(angle_rad=1.0)
     command = DriveCommand(
-        Mode.POSITION,
-        position_rad=2.0,
-        profile_velocity_rad_s=2.0,
-        profile_acceleration_rad_s2=5.0,
+        Mode.POSITION, position_rad=2.0, profile_velocity_rad_s=2.0, profile_acceleration_rad_s2=5.0
     )
     stall(motor, command, 0.3)
     assert motor.reference_velocity_rad_s > 1.0

@@ -319,11 +319,7 @@ def test_a_point_spreads_as_a_gaussian() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "low", "high", "mean"),
-    [
-        ("clipped_normal", 1.0, 20.0, 8.0),
-        ("none", 0.0, 0.0, 0.0),
-    ],
+    ("kind", "low", "high", "mean"), [("clipped_normal", 1.0, 20.0, 8.0), ("none", 0.0, 0.0, 0.0)]
 )
 def test_noise_has_the_range_of_its_reading(kind, low, high, mean) -> None:
     noise = NoiseModel(kind=kind).sample(np.random.default_rng(3), 100_000, 255)

@@ -358,11 +358,7 @@ def test_the_function_block_loses_no_edge_in_silence(block) -> None:
     plc.block.call(Execute=True, Command=RELEASE)  # before the answer was read
     assert (plc["ErrorId"], plc["Busy"]) == (2, True)
     until(lambda: plc.cycle()["Done"])
-    assert (plc["ErrorId"], served.plugin.job().task, served.grip_n > 1.0) == (
-        0,
-        "grip",
-        True,
-    )
+    assert (plc["ErrorId"], served.plugin.job().task, served.grip_n > 1.0) == (0, "grip", True)
     # Held Execute is no second command.
     for _ in range(3):
         plc.cycle(Execute=True, Command=VERIFY)
