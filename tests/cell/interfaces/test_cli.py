@@ -17,7 +17,6 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from rich.console import Console
-from typer.main import get_command
 from typer.testing import CliRunner
 
 from cell.commissioning.findings import Finding, Verdict
@@ -604,29 +603,6 @@ def test_a_report_that_cannot_be_written_does_not_cost_the_result(
 
 def test_the_version_is_printed() -> None:
     assert call("--version") == f"tactile-cell {importlib.metadata.version('tactile-cell')}\n"
-
-
-def options() -> dict[str, dict[str, Any]]:
-    """Return the options of each command by the long name: all names, and the help."""
-    by_command: dict[str, dict[str, Any]] = {}
-
-    def add(path: str, command: Any) -> None:
-        command = getattr(command, "load", lambda: command)()
-        for name, one in getattr(command, "commands", {}).items():
-            add(f"{path} {name}".strip(), one)
-        by_command[path] = {one.opts[0]: one for one in command.params if one.opts[0][0] == "-"}
-
-    add("", get_command(app))
-    return by_command
-
-
-def test_short_options_mean_the_same_in_every_command() -> None:
-    meanings: dict[str, set[str]] = {}
-    for one in (one for command in options().values() for one in command.values()):
-        for short in (name for name in one.opts if name[:2] != "--"):
-            meanings.setdefault(short, set()).add(one.opts[0])
-    assert meanings["-o"] == {"--output"}
-    assert all(len(longs) == 1 for longs in meanings.values()), meanings
 
 
 HEAVY = {"numpy", "scipy", "matplotlib", "canopen", "can", "rich", "serial", "joblib"}
