@@ -76,8 +76,6 @@ class FaultRow:
     """Number of its kind."""
     variant: str
     """What makes it differ from the other variants of this kind; may be empty."""
-    fault: str
-    """The fault in plain words."""
     injected: str
     """Text of the simulator's vocabulary of faults, or how else it is brought about."""
     reaction: str

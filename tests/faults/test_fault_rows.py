@@ -50,7 +50,7 @@ def test_the_monitor_watches_every_counter_of_the_links() -> None:
 
 
 def test_what_differs_from_what_is_required_is_named() -> None:
-    row = FaultRow(8, "", "x", "can.off", "HOLD", 0.1)
+    row = FaultRow(8, "", "can.off", "HOLD", 0.1)
     assert row.complaint(Observed("HOLD", 0.2, "kept")) == "detected after 200 ms, limit 100 ms"
     assert row.complaint(Observed("HOLD", None, "")) == "never detected, the limit is 100 ms"
     assert row.complaint(Observed("NOTE", 0.0, "")) == "reaction NOTE, required is HOLD"
