@@ -6,8 +6,9 @@ Other functions of drives (PDOs, further modes, user units) are left out.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import canopen
 from canopen.objectdictionary import ODVariable
@@ -15,7 +16,7 @@ from canopen.profiles.p402 import State402
 
 from motion import object_dictionary as od
 from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, Status
-from simulator.can.node import BOOT_S, RESETS, Abort, CanopenDevice
+from simulator.can.node import Abort, CanopenDevice
 
 STEP_S = 1e-3
 """Period in s of the drive's position loop."""
@@ -132,20 +133,18 @@ class SimulatedDrive(CanopenDevice):
         """Fault knob: -1 or 1 for a limit switch that is always active."""
         self.slipped = 0.0
         """Fault knob: offset of the axis from the encoder's position in m or rad."""
-        super().__init__(mount.node_id, od.of_node(mount.node_id), start_s)
-        self._node.add_read_callback(self._read)
-        self._node.add_write_callback(self._write)
-        self._live: dict[str, Callable[[], int]] = {
-            "Statusword": lambda: self.statusword,
-            "Modes of operation display": lambda: self._number("Modes of operation"),
-            "Error code": lambda: self._error_code,
-            "Position actual value": lambda: round(self.motion.actual - self._zero),
-            "Velocity actual value": lambda: round(self.motion.actual_speed),
-        }
         self._stepped_s = start_s
         self._host_due_s = math.inf
         self._zero = 0.0
         self._error_code = self._control = 0
+        super().__init__(mount.node_id, od.of_node(mount.node_id), start_s)
+        self._values |= {
+            "Statusword": lambda _subindex: self.statusword,
+            "Modes of operation display": lambda _subindex: self.number("Modes of operation"),
+            "Error code": lambda _subindex: self._error_code,
+            "Position actual value": lambda _subindex: round(self.motion.actual - self._zero),
+            "Velocity actual value": lambda _subindex: round(self.motion.actual_speed),
+        }
         self.power_cycle()
 
     @property
@@ -182,29 +181,19 @@ class SimulatedDrive(CanopenDevice):
             self._stepped_s += STEP_S
             self._step()
 
-    def _take(self, can_id: int, data: bytes) -> None:
-        if can_id == od.COB_NMT and len(data) == 2 and data[1] in {0, self.mount.node_id}:
-            self.command(data[0])
-        elif can_id >> 7 == od.COB_HEARTBEAT >> 7:
-            node_id, silence_ms = divmod(self._number("Consumer heartbeat time.Host"), 1 << 16)
-            if can_id == od.COB_HEARTBEAT + node_id:
-                self._host_due_s = self._network.now_s + 1e-3 * silence_ms
-        elif can_id == self._node.sdo.rx_cobid and self._node.nmt.state != "STOPPED":
-            self._serve(data)
+    def _take(self, can_id: int, _data: bytes) -> None:
+        node_id, silence_ms = divmod(self.number("Consumer heartbeat time.Host"), 1 << 16)
+        if can_id == od.COB_HEARTBEAT + node_id:
+            self._host_due_s = self._network.now_s + 1e-3 * silence_ms
 
-    def command(self, code: int) -> None:
-        """Carry out an NMT command."""
-        if code in RESETS:
-            self.power_cycle()
-            return
-        self._node.nmt.on_command(0, bytes((code, self.mount.node_id)), self._network.now_s)
-        if self._node.nmt.state == "STOPPED":
+    def _nmt_changed(self) -> None:
+        if self.nmt_state == "STOPPED":
             self._abort_connection()
 
-    def power_cycle(self) -> None:
-        """Switch the power off and on: set-up and position are lost, the axis does not move."""
-        self._node.nmt.stop_heartbeat()
-        self._node.data_store.clear()
+    def _reset(self, *, everything: bool) -> None:
+        """Lose set-up and position, by a reset of the communication too; the axis stays."""
+        del everything
+        super()._reset(everything=True)
         self.state = "NOT READY TO SWITCH ON"
         self._error_code = self._control = 0
         self._acknowledged = self._reached = self._at_switch = False
@@ -213,7 +202,6 @@ class SimulatedDrive(CanopenDevice):
         self._lag_s = 0.0
         self.motion.freeze()
         self._zero = 0.0 if self.mount.absolute else self.motion.actual
-        self._boot_due_s = self._network.now_s + BOOT_S
 
     def fail(self, code: int) -> None:
         """Go to fault: brake, then switch the power stage off; error code and EMCY."""
@@ -226,20 +214,7 @@ class SimulatedDrive(CanopenDevice):
 
     # -- objects -------------------------------------------------------------------------------
 
-    def _number(self, name: str) -> int:
-        variable = self._node.object_dictionary[name]
-        return int(variable.decode_raw(self._node.get_data(variable.index, variable.subindex)))
-
-    def _read(self, *, index: int, subindex: int, od: ODVariable) -> int | None:
-        if subindex != od.subindex:
-            raise canopen.SdoAbortedError(Abort.NO_SUBINDEX)
-        live = self._live.get(od.name)
-        return None if live is None else live()
-
-    def _write(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
-        if subindex != od.subindex:
-            raise canopen.SdoAbortedError(Abort.NO_SUBINDEX)
-        value = int(od.decode_raw(data))
+    def _written(self, od: ODVariable, value: Any) -> None:
         if od.name == "Controlword":
             self._command(value)
         elif od.name == "Modes of operation":
@@ -289,7 +264,7 @@ class SimulatedDrive(CanopenDevice):
 
     def _abort_connection(self) -> None:
         """Carry out the option of 6007h when the host is lost or stopped the node (CiA 402-2)."""
-        stops = self._number("Abort connection option code") == od.STOP_WHEN_HOST_IS_LOST
+        stops = self.number("Abort connection option code") == od.STOP_WHEN_HOST_IS_LOST
         if stops and self.state == "OPERATION ENABLED":
             self._quick_stop()
 
@@ -302,25 +277,25 @@ class SimulatedDrive(CanopenDevice):
 
     def _brake(self) -> None:
         self._homing = None
-        self.motion.stop(self._number("Quick stop deceleration") or 1e6)
+        self.motion.stop(self.number("Quick stop deceleration") or 1e6)
 
     def _start(self, word: int, *, rising: bool) -> None:
-        mode = self._number("Modes of operation")
+        mode = self.number("Modes of operation")
         if mode == ModeOfOperation.PROFILE_POSITION:
             if not word & _START_BIT:
                 self._acknowledged = False
             elif rising:
-                target = self._number("Target position")
-                low = self._number("Software position limit.Min position limit")
-                high = self._number("Software position limit.Max position limit")
+                target = self.number("Target position")
+                low = self.number("Software position limit.Min position limit")
+                high = self.number("Software position limit.Max position limit")
                 # A drive moves to its software limit at most.
                 goal = min(max(target, low), high) + self._zero
-                velocity = self._number("Profile velocity")
-                acceleration = self._number("Profile acceleration")
+                velocity = self.number("Profile velocity")
+                acceleration = self.number("Profile acceleration")
                 self.motion.go(goal, velocity, acceleration or 1e9)
                 self._acknowledged, self._reached, self._at_switch = True, False, False
         elif mode == ModeOfOperation.HOMING and rising:
-            self._homing = self._home(self._number("Homing method"))
+            self._homing = self._home(self.number("Homing method"))
             self._acknowledged = self._reached = False
         elif mode == ModeOfOperation.HOMING and not word & _START_BIT:
             self._homing = None
@@ -340,10 +315,10 @@ class SimulatedDrive(CanopenDevice):
         if self.state == "OPERATION ENABLED":
             self._watch_lag()
             if (
-                self._number("Modes of operation") == ModeOfOperation.PROFILE_POSITION
+                self.number("Modes of operation") == ModeOfOperation.PROFILE_POSITION
                 and motion.resting
             ):
-                near = abs(motion.demand - motion.actual) <= self._number("Position window")
+                near = abs(motion.demand - motion.actual) <= self.number("Position window")
                 self._reached = near and not self._at_switch
 
     def _watch_switches(self) -> None:
@@ -351,26 +326,26 @@ class SimulatedDrive(CanopenDevice):
         into = (negative and self.motion.speed < 0.0) or (positive and self.motion.speed > 0.0)
         if into and not self._at_switch:
             self._at_switch = True
-            self.motion.stop(self._number("Quick stop deceleration") or 1e6)
+            self.motion.stop(self.number("Quick stop deceleration") or 1e6)
 
     def _watch_lag(self) -> None:
-        motion, window = self.motion, self._number("Following error window")
+        motion, window = self.motion, self.number("Following error window")
         beyond = abs(motion.demand - motion.actual) > window
         self._lag_s = self._lag_s + STEP_S if beyond else 0.0
-        if self._lag_s * 1e3 > self._number("Following error time out"):
+        if self._lag_s * 1e3 > self.number("Following error time out"):
             self.fail(od.FOLLOWING_ERROR_CODE)
 
     def _home(self, method: int) -> Iterator[None]:
         """Home in steps: to the switch, then slowly back; home is where the switch opens."""
-        motion, acceleration = self.motion, self._number("Homing acceleration")
+        motion, acceleration = self.motion, self.number("Homing acceleration")
         if method != HomingMethod.HERE:
             direction = -1.0 if method == HomingMethod.NEGATIVE_SWITCH else 1.0
             for way, active, speed in ((direction, False, "switch"), (-direction, True, "zero")):
-                velocity = self._number(f"Homing speeds.Speed during search for {speed}")
+                velocity = self.number(f"Homing speeds.Speed during search for {speed}")
                 while motion.switches(self.forced_switch)[direction > 0.0] is active:
                     motion.go(motion.demand + way * 1e9, velocity, acceleration or 1e9)
                     yield
-        self._zero = motion.actual - self._number("Home offset")
+        self._zero = motion.actual - self.number("Home offset")
         motion.stop(acceleration or 1e6)
         yield
         while not motion.resting:

@@ -11,12 +11,18 @@ from typing import Any
 
 import canopen
 from canopen.nmt import NMT_COMMANDS
+from canopen.objectdictionary import ODVariable
 from canopen.sdo.server import SdoServer
 
 from simulator.errors import SimulatorStateError
 
-RESETS = (NMT_COMMANDS["RESET"], NMT_COMMANDS["RESET COMMUNICATION"])
-"""NMT commands that the node of canopen does not carry out."""
+_COB_NMT = 0x000
+"""Identifier of NMT commands (CiA 301, 7.3.5)."""
+_RESETS = ("RESET", "RESET COMMUNICATION")
+_CHANGES_OF_STATE = ("OPERATIONAL", "STOPPED", "PRE-OPERATIONAL")
+"""NMT commands that the node of canopen does not carry out, and those that it does."""
+_COMMUNICATION_PROFILE = range(0x1000, 0x2000)
+"""Objects that a reset of the communication sets to their defaults (CiA 301)."""
 
 BOOT_S = 0.02
 """Time in s from power-on or reset to the boot-up message."""
@@ -107,34 +113,38 @@ class DeviceNetwork(canopen.Network):
 class CanopenDevice(ABC):
     """A device on canopen's LocalNode, which serves SDO and makes heartbeat, boot-up and EMCY.
 
-    It has no clock, the time is an argument.
+    This class adds services by NMT state, resets, sub-indices of plain variables and values that
+    other parts of the device hold. It has no clock, the time is an argument.
     """
 
     def __init__(self, node_id: int, dictionary: canopen.ObjectDictionary, start_s: float) -> None:
         self.send: SendBurst = unconnected
         """Sends its messages; set by `connect`."""
+        self._node_id = node_id
         self._boot_due_s = math.inf
         make: Any = canopen.LocalNode  # most of its interface has no types
         self._node = make(node_id, dictionary)
+        self._node.add_read_callback(self._read)
+        self._node.add_write_callback(self._write)
         self._network = DeviceNetwork(self._emit, start_s)
         self._node.associate_network(self._network)
+        self._values: dict[str, Any] = {}
+        """Values that the node does not store, by the name of a variable or of its object in the
+        EDS: a value, or a function of the sub-index that returns it."""
 
     def connect(self, send: SendBurst) -> None:
         """Plug the device into a bus."""
         self.send = send
 
-    def _serve(self, request: bytes) -> None:
-        """Answer one SDO request; messages without 8 bytes are ignored."""
-        sdo = self._node.sdo
-        if len(request) != _SDO_BYTES:
-            return
-        try:
-            sdo.on_request(sdo.rx_cobid, bytearray(request), self._network.now_s)
-        except struct.error:
-            # Its abort has the object of the last transfer, but there was no transfer.
-            _, index, subindex = _INITIATE.unpack_from(request)
-            abort = _ABORT.pack(_ABORTED, index, subindex, Abort.UNKNOWN_COMMAND)
-            self._network.send_message(sdo.tx_cobid, abort)
+    @property
+    def nmt_state(self) -> str:
+        """NMT state by the names of CiA 301: INITIALISING, PRE-OPERATIONAL, ..."""
+        return str(self._node.nmt.state)
+
+    def number(self, name: str | int) -> int:
+        """Return the value of an object that is a number."""
+        variable = self._node.object_dictionary[name]
+        return int(variable.decode_raw(self._node.get_data(variable.index, variable.subindex)))
 
     def next_event_s(self) -> float:
         """Return when the device next sends something by itself, in s; infinity for never."""
@@ -143,12 +153,58 @@ class CanopenDevice(ABC):
     def receive(self, can_id: int, data: bytes, now_s: float) -> None:
         """Take one message from the bus at ``now_s`` s and answer it."""
         self.advance(now_s)
-        if not (self._silenced() or math.isfinite(self._boot_due_s)):
+        if self._silenced() or math.isfinite(self._boot_due_s):
+            return
+        if can_id == _COB_NMT:
+            self._nmt(data)
+        elif can_id != self._node.sdo.rx_cobid:
             self._take(can_id, data)
+        elif self.nmt_state != "STOPPED" and len(data) == _SDO_BYTES:
+            self._serve(data)
+
+    def command(self, name: str, now_s: float) -> None:
+        """Carry out the NMT command with a name in ``canopen.nmt.NMT_COMMANDS``."""
+        self.receive(_COB_NMT, bytes((NMT_COMMANDS[name], self._node_id)), now_s)
+
+    def _nmt(self, data: bytes) -> None:
+        if len(data) != 2 or data[1] not in (0, self._node_id):
+            return
+        if data[0] in map(NMT_COMMANDS.get, _RESETS):
+            self._reset(everything=data[0] == NMT_COMMANDS["RESET"])
+        elif data[0] in map(NMT_COMMANDS.get, _CHANGES_OF_STATE):
+            self._node.nmt.on_command(0, data, self._network.now_s)
+            self._nmt_changed()
+
+    def _serve(self, request: bytes) -> None:
+        """Answer one SDO request."""
+        sdo = self._node.sdo
+        try:
+            sdo.on_request(sdo.rx_cobid, bytearray(request), self._network.now_s)
+        except struct.error:
+            # Its abort has the object of the last transfer, but there was no transfer.
+            _, index, subindex = _INITIATE.unpack_from(request)
+            abort = _ABORT.pack(_ABORTED, index, subindex, Abort.UNKNOWN_COMMAND)
+            self._network.send_message(sdo.tx_cobid, abort)
 
     @abstractmethod
     def _take(self, can_id: int, data: bytes) -> None:
-        """Take one message from the bus and answer it."""
+        """Take a message that is neither an NMT command nor an SDO request."""
+
+    @abstractmethod
+    def _nmt_changed(self) -> None:
+        """Carry out the effects of a change of the NMT state."""
+
+    def power_cycle(self) -> None:
+        """Switch the power off and on: all values are defaults; boot-up after the boot."""
+        self._reset(everything=True)
+
+    def _reset(self, *, everything: bool) -> None:
+        """Restart the communication, or all; the objects of that part go back to their defaults."""
+        self._node.nmt.stop_heartbeat()
+        for index in list(self._node.data_store):
+            if everything or index in _COMMUNICATION_PROFILE:
+                del self._node.data_store[index]
+        self._boot_due_s = self._network.now_s + BOOT_S
 
     def advance(self, now_s: float) -> None:
         """Let the time pass until ``now_s`` s: boot-up, heartbeat."""
@@ -162,14 +218,42 @@ class CanopenDevice(ABC):
             self._network.run(now_s, mute=self._heartbeat_silenced())
         self._network.now_s = now_s
 
+    def _read(self, *, index: int, subindex: int, od: ODVariable) -> Any:
+        del index
+        self._check_there(od, subindex)
+        value = self._values.get(od.qualname, self._values.get(object_name(od)))
+        return value(subindex) if callable(value) else value
+
+    def _write(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
+        del index
+        self._check_there(od, subindex)
+        self._written(od, od.decode_raw(data))
+
+    def _check_there(self, od: ODVariable, subindex: int) -> None:
+        if subindex != od.subindex:
+            raise canopen.SdoAbortedError(Abort.NO_SUBINDEX)
+
+    @abstractmethod
+    def _written(self, od: ODVariable, value: Any) -> None:
+        """Check a value that the host writes and carry out its effects, before it is stored.
+
+        Raises canopen.SdoAbortedError if it is refused.
+        """
+
     def _heartbeat_silenced(self) -> bool:
         """Return whether a fault keeps the device from sending its heartbeat."""
         return self._silenced()
 
+    @abstractmethod
     def _silenced(self) -> bool:
         """Return whether a fault keeps the device from sending anything."""
-        return False
 
     def _emit(self, t_s: float, can_id: int, data: bytes) -> None:
         if not self._silenced():
             self.send(t_s, can_id, [data])
+
+
+def object_name(od: ODVariable) -> str:
+    """Return the name of a variable's object in the EDS, without that of the sub-index."""
+    name: str = od.qualname.partition(".")[0]
+    return name

@@ -211,9 +211,9 @@ def _check_identity(fault: Fault) -> None:
 
 def _pretending(fault: Fault) -> Undo:
     """Replace the value of an object of the unit's dictionary."""
-    dictionary, (name, number) = fault.devices.unit.dictionary, fault.value
-    before = dictionary.pretend(_IDENTITY[name], number)
-    return lambda: dictionary.pretend(_IDENTITY[name], before)
+    unit, (name, number) = fault.devices.unit, fault.value
+    before = unit.pretend(_IDENTITY[name], number)
+    return lambda: unit.pretend(_IDENTITY[name], before)
 
 
 def _stuck_taxels(fault: Fault, taxels: Iterable[int], counts: int) -> dict[int, int]:

@@ -165,7 +165,7 @@ class CellRequests:
             "aperture_m": mechanics.aperture_m,
             "fingers_m": list(mechanics.finger_position_m),
             "moved_by_hand": mechanics.moved_by_hand,
-            "control_unit": devices.unit.state,
+            "control_unit": devices.unit.nmt_state,
             "axes": {
                 moves: {"position": axis.position, "moving": axis.moving}
                 for moves, axis in devices.axes.items()

@@ -99,14 +99,14 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, er
         "reboot": simulated.power_cycle,
         "empty boot-up": lambda: put(bench, arbitration_id=0x700 + NODE),
         "shut": lambda: simulated._command(Control.SHUTDOWN),
-        "stopped": lambda: simulated.command(2),
-        "pre-operational": lambda: simulated.command(128),
+        "stopped": lambda: simulated.command("STOPPED", bench.clock.monotonic()),
+        "pre-operational": lambda: simulated.command("PRE-OPERATIONAL", bench.clock.monotonic()),
         "twice": lambda: undo.append(bench.second_drive()),
-        "short": lambda: simulated._live.update({"Statusword": lambda: b"\x27"}),  # type: ignore[dict-item,return-value]
-        "no state": lambda: simulated._live.update({"Statusword": lambda: 1}),
-        "jump": lambda: simulated._live.update({"Position actual value": lambda: 5_000_000}),
+        "short": lambda: simulated._values.update({"Statusword": b"\x27"}),
+        "no state": lambda: simulated._values.update({"Statusword": 1}),
+        "jump": lambda: simulated._values.update({"Position actual value": 5_000_000}),
     }
-    undo, live = list[Callable[[], None]](), dict(simulated._live)
+    undo, values = list[Callable[[], None]](), dict(simulated._values)
     bench.once_moving(acts[fail])
     with pytest.raises(error, match=words) as caught:
         bench.move(0.015)
@@ -121,7 +121,7 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, er
     for take_off in undo:
         take_off()
     simulated.blocked = simulated.dead = False
-    simulated._live.update(live)
+    simulated._values.update(values)
     simulated.forced_switch = 0
     assert bench.move(0.005) == pytest.approx(0.005, abs=NEAR_M)
     assert simulated.position == pytest.approx(0.005, abs=NEAR_M)
@@ -130,18 +130,18 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, er
 @pytest.mark.slow
 def test_a_drive_that_another_master_stopped_is_started_by_the_next_motion(bench) -> None:
     bench.move(-0.01)
-    bench.simulated.command(2)
+    bench.simulated.command("STOPPED", bench.clock.monotonic())
     bench.clock.sleep(1.0)
     with pytest.raises(AxisNotOperational, match="NMT state stopped"):
         bench.move(0.0)
-    bench.simulated.command(2)
+    bench.simulated.command("STOPPED", bench.clock.monotonic())
     with pytest.raises(AxisNotOperational, match="NMT state stopped"):
         raise next(iter(bench.axes.inspect().values()))  # type: ignore[misc]
     bench.axes.clear_faults(reboot=False)
-    bench.simulated.command(2)
+    bench.simulated.command("STOPPED", bench.clock.monotonic())
     assert bench.move(0.0) == pytest.approx(0.0, abs=NEAR_M)
     # A master that does so again and again is named, too.
-    bench.clock.on_advance.append(lambda _now_s: bench.simulated.command(128))
+    bench.clock.on_advance.append(lambda now_s: bench.simulated.command("PRE-OPERATIONAL", now_s))
     with pytest.raises(AxisNotOperational, match="pre-operational"):
         bench.move(0.01)
     with pytest.raises(AxisNotOperational, match="sends no heartbeat as operational: look for"):
@@ -234,13 +234,13 @@ def test_who_is_no_drive_or_not_there_is_refused(bench) -> None:
         bench.move(0.0)
     assert isinstance(next(iter(bench.axes.inspect().values())), AxisSilent)
     bench.simulated.dead = False
-    bench.simulated._live["Device type"] = lambda: 0x0191
+    bench.simulated._values["Device type"] = 0x0191
     with pytest.raises(AxisMissing, match="device type 00000191h, which is no CiA 402 drive"):
         bench.move(0.0)
 
 
 def test_a_limit_that_the_drive_does_not_keep_is_refused(bench) -> None:
-    bench.simulated._live["Following error window"] = lambda: 5
+    bench.simulated._values["Following error window"] = 5
     with pytest.raises(AxisMissing, match=r"keeps 5 in Following error window .* instead of 1000"):
         bench.move(0.0)
     with pytest.raises(AxisMissing, match=r"refused Modes of operation .*limits are narrower"):

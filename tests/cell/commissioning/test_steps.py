@@ -338,7 +338,7 @@ def test_nothing_is_written_or_moved_that_is_refused(make_stand, step, faults, t
 
     def state() -> Any:
         eeproms = [bytes(s.registers.data[:64]) for s in stand.cell.devices.servo_bus.servos]
-        unit = stand.cell.unit.dictionary.number(0x1017)
+        unit = stand.cell.unit.number(0x1017)
         return eeproms, unit, stand.torques, stand.cell.devices.mechanics.aperture_m
 
     before = state()

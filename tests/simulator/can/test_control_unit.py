@@ -102,7 +102,7 @@ class Line:
 
     def start(self) -> None:
         assert self.tell(NMT, bytes((START, 5))) == []
-        assert self.unit.state == "OPERATIONAL"
+        assert self.unit.nmt_state == "OPERATIONAL"
 
     def frame(self) -> TactileFrame:
         """Send a SYNC and return the frame that comes."""
@@ -142,7 +142,7 @@ def test_services_follow_the_nmt_state(line) -> None:
 @pytest.mark.parametrize("command", [b"", b"\x01", b"\x01\x06", b"\x01\x05\x00", b"\x63\x05"])
 def test_nmt_commands_that_are_not_meant_change_nothing(line, command) -> None:
     assert line.tell(NMT, command) == []
-    assert line.unit.state == "PRE-OPERATIONAL"
+    assert line.unit.nmt_state == "PRE-OPERATIONAL"
 
 
 @pytest.mark.parametrize("command", [RESET_NODE, RESET_COMMUNICATION])
@@ -156,7 +156,7 @@ def test_a_reset_brings_one_boot_up_and_the_defaults_back(line, command) -> None
     line.take()
     line.wait(1.0)
     assert line.take() == [(HEARTBEAT, b"\x00")]
-    assert line.unit.state == "PRE-OPERATIONAL"
+    assert line.unit.nmt_state == "PRE-OPERATIONAL"
     assert line.number(0x1017) == 0
     unchanged = command == RESET_COMMUNICATION
     assert line.number(0x2120, 1) == (77 if unchanged else 30)

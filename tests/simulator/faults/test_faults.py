@@ -129,8 +129,8 @@ def _knobs(cell: SimulatedCell) -> Any:
     devices = cell.devices
     world = devices.world
     identity = []
-    identity.append(devices.unit.dictionary.pretend("Identity object.Serial number", 1))
-    devices.unit.dictionary.pretend("Identity object.Serial number", identity[-1])
+    identity.append(devices.unit.pretend("Identity object.Serial number", 1))
+    devices.unit.pretend("Identity object.Serial number", identity[-1])
     servos = [
         (
             servo.watchdog_stop,

@@ -87,7 +87,7 @@ def test_a_unit_without_force_messages_runs_as_before(make_forces) -> None:
 
 def test_a_table_that_the_unit_does_not_keep_is_refused(make_forces) -> None:
     sending = make_forces()
-    sending.unit.dictionary.pretend(od.FORCE_TABLE, TABLE[:-2] + b"\0\0")
+    sending.unit.pretend(od.FORCE_TABLE, TABLE[:-2] + b"\0\0")
     with pytest.raises(IdentityMismatch, match="Table of counts to force"):
         sending.link.start()
 

@@ -199,9 +199,7 @@ def boot_late(bench) -> None:
     [
         boot_late,
         lambda bench: copy(bench, 0x580 + NODE, 2, times=1),
-        lambda bench: setattr(
-            bench.unit.dictionary, "_missing", {"Synchronous counter overflow value"}
-        ),
+        lambda bench: setattr(bench.unit, "_missing", {"Synchronous counter overflow value"}),
     ],
     ids=["late boot", "one SDO answer twice", "no object 1019h"],
 )
@@ -244,10 +242,10 @@ def test_another_unit_is_refused_with_expected_and_found(make_bench, entry, valu
     bench = make_bench(
         unit=ControlUnitSettings(serial_number=4711), identity=ExpectedIdentity(serial=4711)
     )
-    bench.unit.dictionary.pretend(entry, value)
+    bench.unit.pretend(entry, value)
     with pytest.raises(IdentityMismatch, match=says):
         bench.link.start()
-    assert (bench.unit.state, bench.link.statistics.requests) == ("PRE-OPERATIONAL", 0)
+    assert (bench.unit.nmt_state, bench.link.statistics.requests) == ("PRE-OPERATIONAL", 0)
 
 
 def test_exchanged_pads_are_refused_by_the_serial_numbers_of_their_boards(make_bench) -> None:
@@ -284,7 +282,7 @@ def test_lost_sdo_responses_are_asked_for_again_and_hide_no_second_unit(idle) ->
 
 
 def test_a_zero_held_by_the_unit_is_cleared(idle) -> None:
-    idle.unit.dictionary.pretend("Tare.Result", od.TARE_DONE)
+    idle.unit.pretend("Tare.Result", od.TARE_DONE)
     idle.link.start()
     assert written(idle)[0x2130, 1] == od.TARE_CLEAR_SIGNATURE
 
@@ -452,7 +450,7 @@ def test_calls_out_of_order_are_refused(idle) -> None:
         idle.link.start()
     idle.link.stop()
     idle.link.stop()
-    assert idle.unit.state == "PRE-OPERATIONAL"
+    assert idle.unit.nmt_state == "PRE-OPERATIONAL"
     with pytest.raises(LinkStateError):
         idle.link.poll()
 
