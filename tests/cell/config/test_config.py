@@ -303,19 +303,6 @@ def positioner(*axes: dict[str, Any], **more: Any) -> dict[str, Any]:
     return {"positioner": {"kind": "axes", "axes": list(axes)} | more}
 
 
-def test_a_cell_on_real_ports_has_its_axes_there_too() -> None:
-    changes = CHANGES | REAL
-    real = positioner(
-        X_AXIS,
-        ROTATION_AXIS,
-        WRIST | {"port": "/dev/ttyUSB1"},
-        can={"interface": "socketcan", "channel": "can0"},
-    )
-    config = changed_config(CellConfig(), changes | real)
-    assert not config.brings_objects
-    assert config.positioner.ports == ("socketcan", "/dev/ttyUSB1")
-
-
 X, TURNED, ONLY = X_AXIS, ROTATION_AXIS, "list positioner.axes if positioner.kind is axes, and only"
 ON_CAN1 = {"interface": "socketcan", "channel": "can1"}
 ASKED = {"sequence.kind": "list", "sequence.poses": [{"y_mm": 1.0}]}
