@@ -1,6 +1,7 @@
 """Rows of the fault campaign: the simulated cell that they run on, and what was observed."""
 
 import contextlib
+import math
 import os
 import signal
 import subprocess
@@ -30,7 +31,7 @@ from cell.fault_catalogue import BY_NUMBER
 from cell.runtime.goals import TeachGoal
 from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.worker import JobFailed
-from gripper.errors import GripperError, fingers_left
+from gripper.errors import GripperError
 from gripper.values.state import GripperPhase
 from pytest_tactile_cell.process import CellProcess
 from pytest_tactile_cell.virtual import VirtualCell
@@ -50,8 +51,6 @@ CARRY_S = 1.5
 """A part is carried for so long in s."""
 _CHAIN = 3
 """Faults in a row whose steps are taken: what is mended may show the next one."""
-OUTCOME_CHARACTERS = 160
-"""Longest text of an error on the page."""
 PRODUCT_ERRORS = (CellError, GripperError, TactileError)
 
 
@@ -260,13 +259,8 @@ def observe(
             raise RuntimeError(f"{injected.text} has not begun when the job was over")
         began_s = injected.began_s
     if error is not None:
-        text = f"{type(error).__name__}: {error}"
-        if len(text) > OUTCOME_CHARACTERS:
-            text = f"{text[: OUTCOME_CHARACTERS - 3]}..."
-        left = fingers_left(error)
-        state = cell.controller.life.state.value
-        grip = f"{state}, {left} ({cell.grip_n:.1f} N)" if left else cell.grip
-        return Observed(_reaction(cell), max(0.0, known_s - began_s), f"{text}; {grip}")
+        text = f"{type(error).__name__}: {error}; {cell.grip}"
+        return Observed(_reaction(cell), max(0.0, known_s - began_s), text)
     if monitor.noted_s is not None:
         after_s = max(0.0, monitor.noted_s - began_s)
         return Observed("NOTE", after_s, f"counted; the job was done; {cell.grip}")
@@ -332,9 +326,6 @@ def take_steps(cell: VirtualCell, number: int) -> None:
             case "reset":
                 controller.life.reset()
                 controller.start()
-
-
-# -- Faults that need more than a grasp with a fault of the vocabulary -----------------------------
 
 
 # -- Axes that carry the part: the motion stops, the grip is not touched ---------------------------
@@ -411,29 +402,30 @@ _TOUCH_N = 0.02
 """Force in N on both pads that is a contact, as in the simulator."""
 
 
-def sets_lost(row: FaultRow, *, lost: Callable[[int], bool], crossing: int) -> Observed:
-    """Lose one message of some sets, by the numbers of their SYNCs from 0.
+def sets_lost(row: FaultRow, *, every: float = math.inf, crossing: int = 1) -> Observed:
+    """Lose one message of each so-many-th set, just before its SYNC, once both pads touch.
 
-    Time counts from the loss ``crossing``, from 1: the one too many.
+    The first five sets are left out, so that the contact itself is over. Time counts from the loss
+    ``crossing``, from 1: the one too many.
     """
     lost_s: list[float] = []
+    number = -5
 
-    def lose(number: int) -> None:
-        if lost(number):
-            cell.simulated.inject("can.lose_next=1")
-            lost_s.append(cell.now_s)
+    def look(_t_s: float, can_id: int, _data: bytes) -> None:
+        nonlocal number
+        if can_id == _SYNC_ID and (number > -5 or cell.grip_n > _TOUCH_N):
+            if number >= 0 and number % every == 0:
+                cell.simulated.inject("can.lose_next=1")
+                lost_s.append(cell.now_s)
+            number += 1
 
     with campaign_cell(row.changes) as cell:
-        observed = observe(cell, lambda: _on_sync(cell, lose))
+        observed = observe(cell, lambda: cell.simulated.can_bus.capture.append(look))
         monitor = cell.monitor
         known_s = monitor.latched_s if monitor.latched_s is not None else monitor.noted_s
-        if known_s is not None:
-            after_s = max(0.0, known_s - lost_s[crossing - 1])
-            observed = replace(observed, detected_after_s=after_s)
-    first_s = 1e3 * (lost_s[crossing - 1] - lost_s[0])
-    if crossing == 1:
-        return observed
-    return replace(observed, outcome=f"{observed.outcome} (first loss {first_s:.0f} ms before)")
+        if known_s is None:
+            return observed
+        return replace(observed, detected_after_s=max(0.0, known_s - lost_s[crossing - 1]))
 
 
 def adapter_comes_back(row: FaultRow) -> Observed:
@@ -454,23 +446,6 @@ def drifts_between_grasps(row: FaultRow) -> Observed:
         cell.start()
         fault = row.injected.partition(" ")[0]
         return observe(cell, fault, lambda one: (one.idle(0.2), one.grasp()))
-
-
-def _on_sync(cell: CampaignCell, act: Callable[[int], None]) -> None:
-    """Call ``act`` just before each SYNC reaches the unit, once both pads touch.
-
-    It gets the number of the SYNC, from 0; the first five of them are left out, so that the
-    contact itself is over.
-    """
-    seen = [-5]
-
-    def look(_t_s: float, can_id: int, _data: bytes) -> None:
-        if can_id == _SYNC_ID and (seen[0] > -5 or cell.grip_n > _TOUCH_N):
-            if seen[0] >= 0:
-                act(seen[0])
-            seen[0] += 1
-
-    cell.simulated.can_bus.capture.append(look)
 
 
 # -- The host program: a slow loop, errors in its code, the wall clock -----------------------------
@@ -524,19 +499,17 @@ def loop_held_up(row: FaultRow, *, stall_s: float, times: int = 1) -> Observed:
             seen = observe(cell)
         assert held_up.began_s is not None
         assert held_up.ended_s is not None
-        if held_up.worst_step_n > _RATE_N_S * 2.0 * cell.controller.hand.period_s + 1e-9:
-            jump = f"the set-point jumped by {held_up.worst_step_n:.2f} N"
-            return Observed("CATCHES UP", None, jump)
-        if held_up.worst_beyond_n > _BEYOND_N:
-            beyond = f"the force rose to {held_up.worst_beyond_n:.2f} N beyond the set-point"
-            return Observed("RAMP GOES ON", None, beyond)
-        step = f"largest step of the set-point {held_up.worst_step_n:.2f} N"
+        step_n, beyond_n = held_up.worst_step_n, held_up.worst_beyond_n
+        told = f"{seen.outcome}; set-point {step_n:.2f} N a step, {beyond_n:.2f} N beyond it"
+        if step_n > _RATE_N_S * 2.0 * cell.controller.hand.period_s + 1e-9:
+            return Observed("CATCHES UP", None, told)
+        if beyond_n > _BEYOND_N:
+            return Observed("RAMP GOES ON", None, told)
         if seen.reaction == "NOTHING" and held_up.noted_s is not None:
-            after_s = held_up.noted_s - held_up.ended_s
-            return Observed("NOTE", after_s, f"counted as late; {step}; {seen.outcome}")
+            return Observed("NOTE", held_up.noted_s - held_up.ended_s, told)
         latched_s = cell.monitor.latched_s
         after_s = None if latched_s is None else latched_s - held_up.began_s
-        return Observed(seen.reaction, after_s, f"{seen.outcome}; {step}")
+        return Observed(seen.reaction, after_s, told)
 
 
 def error_in_the_loop(row: FaultRow) -> Observed:
@@ -564,18 +537,11 @@ def error_in_the_mover(row: FaultRow) -> Observed:
     broken = raising(ZeroDivisionError("robot driver"))
     with TactileCellPlugin(campaign_config(row.changes), mover=broken) as plugin:
         job = plugin.start(TeachGoal(label="ball", grasps=3))
-        try:
+        with suppress(JobFailed):
             plugin.result(job, 30.0)
-            end = "it was taught"
-        except JobFailed as error:
-            end = str(error)
         status = plugin.status()
         latched = status.state == CellState.ABORTED and status.fault is not None
-        return Observed(
-            "HOLD" if latched else "NOTHING",
-            0.0,
-            f"{end}; {status.state}, the fingers are open and empty",
-        )
+        return Observed("HOLD" if latched else "NOTHING", 0.0, f"{status.state}: {status.fault}")
 
 
 def wall_clock_jumps(_row: FaultRow, *, step_s: float) -> Observed:
@@ -587,12 +553,7 @@ def wall_clock_jumps(_row: FaultRow, *, step_s: float) -> Observed:
         and before.cycles == jumped.cycles
         and before_s == jumped_s
     )
-    return Observed(
-        "NOTHING" if same else "DIFFERENT",
-        None,
-        "each frame and each period of the loop is the same as without the jump; the recording "
-        "has both clocks at its start and at each change of state",
-    )
+    return Observed("NOTHING" if same else "DIFFERENT", None, "compared frame by frame")
 
 
 @cache
@@ -658,12 +619,7 @@ def host_ends_by_an_error(_row: FaultRow) -> Observed:
         began_s = time.monotonic()
         until(lambda: ended(loop))
         after_s, grip_n = time.monotonic() - began_s, cell.grip_n()
-        return Observed(
-            "HOLD" if grip_n > _HELD_N else "LOST",
-            after_s,
-            "nothing was closed; the process of the force loop freezes the goals and ends; the "
-            f"grip is kept ({grip_n:.1f} N)",
-        )
+        return Observed("HOLD" if grip_n > _HELD_N else "LOST", after_s, f"{grip_n:.1f} N")
 
 
 # -- Servos and part -------------------------------------------------------------------------------
@@ -699,11 +655,8 @@ def part_leaves(row: FaultRow) -> Observed:
             seen = observe(cell, job=job)
         if not refusals or not known_s or injected.began_s is None:
             return seen
-        return Observed(
-            row.reaction,
-            known_s[0] - injected.began_s,
-            f"{refusals[0]}; {cell.controller.life.state.value}, the fingers are open",
-        )
+        after_s = known_s[0] - injected.began_s
+        return Observed(cell.controller.life.grasp_state.value, after_s, refusals[0])
 
 
 def something_pushes(row: FaultRow) -> Observed:
@@ -732,11 +685,5 @@ def random_configs(_row: FaultRow) -> Observed:
     broken = [one for one in trials if one.broken]
     if broken:
         return Observed("ABOVE THE CAP", None, str(broken[0]))
-    gripped = [one for one in trials if not one.refused]
-    highest = max(one.true_n / one.cap_n for one in gripped)
-    return Observed(
-        "NOTHING",
-        None,
-        f"{len(gripped)} gripped, {len(trials) - len(gripped)} were refused; "
-        f"the largest true force was {highest:.2f} of its cap",
-    )
+    highest = max(one.true_n / one.cap_n for one in trials if not one.refused)
+    return Observed("NOTHING", None, f"the largest true force was {highest:.2f} of its cap")

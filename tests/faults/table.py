@@ -122,15 +122,14 @@ def _with(changes: Mapping[str, Any], rows: Iterable[FaultRow]) -> tuple[FaultRo
 CAN_BUS = (
     # One tactile frame lost (one message of it).
     FaultRow(1, "", "can.lose_next=1, with a SYNC", "NOTE", BURST_S + SYNC_S + LOOP_S,
-             partial(campaign.sets_lost, lost=lambda number: number == 0, crossing=1)),
+             campaign.sets_lost),
     FaultRow(2, "silence", "can.loss=1@contact+0.1s", "HOLD", SETS_S + SYNC_S, number=401),
     # 20 % of the sets lost, evenly; the limit counts from the set that is one too many.
     FaultRow(2, "one set in five", "can.lose_next=1, with each fifth SYNC", "HOLD", 0.06,
-             partial(campaign.sets_lost, lost=lambda number: number % 5 == 0, crossing=3)),
+             partial(campaign.sets_lost, every=5, crossing=3)),
     # 5 % of the sets lost, evenly; the limit counts from the set that is one too many.
     FaultRow(2, "one set in twenty", "can.lose_next=1, with each 20th SYNC", "HOLD", 0.06,
-             partial(campaign.sets_lost, lost=lambda number: number % 20 == 0, crossing=3),
-             {"sequence.ramp.hold_s": 1.5}),
+             partial(campaign.sets_lost, every=20, crossing=3), {"sequence.ramp.hold_s": 1.5}),
     # Every fifth message comes twice.
     FaultRow(3, "", "can.duplicate=0.2@contact", "NOTE", None),
     FaultRow(4, "reordered", "can.swapped=0.2@contact", "NOTE", None),
