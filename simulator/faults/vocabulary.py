@@ -22,8 +22,8 @@ from simulator.devices import CellDevices
 from simulator.errors import SimulatorSettingsError
 from simulator.knobs import SHARE, Number, Setting
 from simulator.servo.control_table import EEPROM_END
+from simulator.servo.device import WatchdogStop
 from simulator.servo.faults import Chatter, WireFaults
-from simulator.servo.firmware import WatchdogStop
 
 Undo = Callable[[], object]
 """Undoes a fault."""

@@ -6,7 +6,7 @@ from gripper.errors import GripperStateError, LimitExceeded, WatchdogUnproven
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
-from simulator.servo.firmware import WatchdogStop
+from simulator.servo.device import WatchdogStop
 
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0)
 

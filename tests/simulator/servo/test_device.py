@@ -8,7 +8,7 @@ from gripper.dynamixel.control_table import REGISTERS
 from gripper.dynamixel.models import XC330_M288, XL330_M288, XM430_W350, OperatingMode
 from simulator.errors import PortUnplugged
 from simulator.servo.bus import MemoryServoStream
-from simulator.servo.firmware import WatchdogStop
+from simulator.servo.device import WatchdogStop
 from simulator.servo.protocol2 import Instruction, PacketParser, encode_instruction, encode_status
 from tests.simulator.conftest import ServoBench
 

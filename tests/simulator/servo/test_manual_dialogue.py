@@ -7,7 +7,7 @@ import pytest
 from dxl2 import v2 as dxl2
 
 from gripper.dynamixel.models import XM430_W210
-from simulator.servo.firmware import ServoCore
+from simulator.servo.device import SimulatedServo
 from tests.simulator.conftest import ServoBench
 
 PREFIX = "FFFFFD00"
@@ -52,7 +52,7 @@ def wire(text: str) -> bytes:
 @pytest.fixture(autouse=True)
 def registers_stay_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the present values be those of the examples instead of the motor's."""
-    monkeypatch.setattr(ServoCore, "refresh", lambda _self, _now_s: None)
+    monkeypatch.setattr(SimulatedServo, "refresh", lambda _self, _now_s: None)
 
 
 class Conversation(ServoBench):
