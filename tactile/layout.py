@@ -102,10 +102,8 @@ class TaxelLayout:
     """For messages; does not enter the hash."""
     pads: tuple[Pad, ...]
     """Pads in the order of transmission."""
-    sample_bits: int = 8
-    """Size of a sample on the bus: 8 or 16."""
     adc_max: int = 255
-    """Full scale of the counts."""
+    """Full scale of the counts, 1 to 65535."""
     pad_shape: NDArray[np.int64] = field(init=False)
     """(n_pads, 2) int64: rows and columns."""
     taxel_pad: NDArray[np.int64] = field(init=False)
@@ -120,14 +118,9 @@ class TaxelLayout:
     """16 hexadecimal digits over all that gives the samples their meaning."""
 
     def __post_init__(self) -> None:
-        if self.sample_bits not in (8, 16):
+        if not 1 <= self.adc_max <= 0xFFFF:
             raise LayoutError(
-                f"layout {self.name}: {self.sample_bits} sample bits, must be 8 or 16"
-            )
-        if not 1 <= self.adc_max < 1 << self.sample_bits:
-            raise LayoutError(
-                f"layout {self.name}: adc_max is {self.adc_max}, must be 1 to "
-                f"{(1 << self.sample_bits) - 1} for {self.sample_bits} bit samples"
+                f"layout {self.name}: adc_max is {self.adc_max}, must be 1 to {0xFFFF}"
             )
         names = [pad.name for pad in self.pads]
         if len(set(names)) != len(names):
@@ -176,9 +169,9 @@ class TaxelLayout:
         return len(self.taxel_pad)
 
     @property
-    def sample_bytes(self) -> int:
-        """Bytes of one sample on the bus."""
-        return self.sample_bits // 8
+    def sample_bits(self) -> int:
+        """Size of a sample on the bus: 8, or 16 where the full scale needs it."""
+        return 8 if self.adc_max <= 0xFF else 16
 
     def taxels_of(self, pad: int) -> slice:
         """Return where in a frame the taxels of a pad are; IndexError for a pad that is none."""
@@ -326,9 +319,7 @@ def inner_pads(
         )
         for finger in (0, 1)
     )
-    return TaxelLayout(
-        name=name, pads=pads, sample_bits=8 if adc_max <= 255 else 16, adc_max=adc_max
-    )
+    return TaxelLayout(name=name, pads=pads, adc_max=adc_max)
 
 
 def pinch_layout() -> TaxelLayout:

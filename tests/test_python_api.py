@@ -94,7 +94,7 @@ def loaded(modules: str) -> set[str]:
             SERVOS,
         ),
         (
-            "tactile.layout, tactile.frames.assembler, tactile.control_unit.object_dictionary, "
+            "tactile.layout, tactile.frames.transport, tactile.control_unit.object_dictionary, "
             "tactile.frames.force_message, tactile.sensor.sensor",
             ("can",),
         ),

@@ -285,12 +285,7 @@ def layout_from_config(config: TactileConfig) -> TaxelLayout:
         for number, pad in enumerate(own.pads)
     ]
     with raised_as(ConfigError, LayoutError, where="tactile.layout"):
-        return TaxelLayout(
-            name=own.name,
-            pads=tuple(pads),
-            sample_bits=8 if own.adc_max <= 255 else 16,
-            adc_max=own.adc_max,
-        )
+        return TaxelLayout(name=own.name, pads=tuple(pads), adc_max=own.adc_max)
 
 
 def make_calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:

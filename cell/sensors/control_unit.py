@@ -14,7 +14,7 @@ from cell.config.tactile import (
     make_calibration,
 )
 from tactile.control_unit.settings import WINDOW_SHARE, bus_load, least_sync_period_s
-from tactile.frames.codec import FrameFormat
+from tactile.frames.transport import FrameFormat
 from tactile.layout import TaxelLayout
 from tactile.source import FrameSource
 

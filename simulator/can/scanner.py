@@ -170,7 +170,7 @@ class Scanner:
         self._world = world
         self._layout = layout
         self._faults = faults
-        self.format = BurstFormat(layout.n_taxels, layout.sample_bytes)
+        self.format = BurstFormat(layout.n_taxels, layout.sample_bits // 8)
         """Division of scans into messages."""
         self.forces = PadForces(layout)
         """The sum of the force on the gripping pads."""

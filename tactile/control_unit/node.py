@@ -39,9 +39,8 @@ from tactile.errors import (
     NodeMissing,
     ReceiveLoopDead,
 )
-from tactile.frames.assembler import FrameAssembler
-from tactile.frames.codec import FrameFormat
 from tactile.frames.force_message import encode_zero
+from tactile.frames.transport import FrameAssembler, FrameFormat
 from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.source import (
     Arrivals,

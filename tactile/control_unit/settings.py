@@ -8,7 +8,7 @@ from math import inf
 from typing import Any
 
 from tactile.control_unit import object_dictionary
-from tactile.frames.codec import MESSAGE_BYTES, FrameFormat
+from tactile.frames.transport import MESSAGE_BYTES, FrameFormat
 from tactile.layout import PadMount, TaxelLayout
 from tactile.source import SourceIdentity
 

@@ -7,7 +7,7 @@ from tactile.can.sdo_client import PolledSdoClient
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.settings import ExpectedIdentity, LinkSettings, NodeIdentity
 from tactile.errors import IdentityMismatch
-from tactile.frames.codec import FrameFormat
+from tactile.frames.transport import FrameFormat
 from tactile.layout import TaxelLayout
 
 _COB_ID_MASK = 0xFFFF_FFFF & ~(1 << 30)
@@ -89,7 +89,7 @@ def refuse_other_unit(
     expected_numbers = {
         "Taxel layout.Number of taxels": layout.n_taxels,
         "Taxel layout.Full scale of the counts": layout.adc_max,
-        "Frame format.Sample bytes": layout.sample_bytes,
+        "Frame format.Sample bytes": form.sample_bytes,
         "Frame format.Messages per frame": form.n_messages,
         "Frame format.Header bytes": form.header_bytes,
         od.FRAMES_COB_ID: od.COB_TPDO1 + node_id,

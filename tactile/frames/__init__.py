@@ -1,5 +1,5 @@
 """Tactile frames, for the link and for the simulated control unit.
 
-`codec` converts samples to messages, and `assembler` messages to complete frames. `force_message`
-is for the force messages and their order.
+`transport` converts messages to complete frames. `force_message` is for the force messages and
+their order.
 """

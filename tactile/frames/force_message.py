@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.errors import FrameError
-from tactile.frames.codec import CRC_BYTES, MESSAGE_BYTES, crc16_ccitt
+from tactile.frames.transport import CRC_BYTES, MESSAGE_BYTES, crc16_ccitt
 from tactile.layout import TaxelLayout
 from tactile.source import ForceMessage, ForceStatistics, ForceStatus
 

@@ -240,7 +240,7 @@ def test_the_last_frame_can_be_read_by_sdo_too(unit) -> None:
     counter = unit.link.objects["Counter of the last frame read"].raw
     frames += unit.frames(0.1)
     (same,) = [frame for frame in frames if frame.counter == counter]
-    assert same.counts.astype(f"<u{unit.link.layout.sample_bytes}").tobytes() == samples
+    assert same.counts.astype(f"<u{unit.link.layout.sample_bits // 8}").tobytes() == samples
 
 
 def test_a_reset_is_told_by_a_boot_up_and_ends_pre_operational(unit) -> None:

@@ -34,9 +34,8 @@ from simulator.servo.protocol2 import (
     unstuff,
 )
 from tactile.can.bus import BulkSlcanBus
-from tactile.frames.assembler import FrameAssembler
-from tactile.frames.codec import FrameFormat
 from tactile.frames.force_message import ForceStream
+from tactile.frames.transport import FrameAssembler, FrameFormat
 from tactile.layout import paper_layout
 from tactile.source import ForceMessage, ForceStatus, TactileFrame
 from tests.fuzz.harness import bad_input, damages, disturbed, pieces, spoilt

@@ -19,7 +19,7 @@ INNER = [
 def test_paper_layout_has_204_taxels_a_finger_in_the_order_of_the_paper() -> None:
     finger = [[16, 4], [16, 4], [16, 2], [16, 2], [6, 2]]
     assert (PAPER.pad_shape.tolist(), PAPER.n_taxels) == (finger + finger, 408)
-    assert PAPER.sample_bytes == 1
+    assert PAPER.sample_bits == 8
     assert [pad.face for pad in PAPER.pads[:5]] == ["inner", "outer", "side_a", "side_b", "tip"]
     assert PAPER.gripping_pads == (0, 5)
     assert [pad.finger for pad in PAPER.pads] == [0] * 5 + [1] * 5
@@ -77,7 +77,7 @@ def test_hash_covers_what_gives_the_samples_their_meaning() -> None:
         replace(layout, pads=(pads[5:] + pads[:5])),
         replace(layout, pads=(replace(pads[0], pitch_x_m=3.4e-3), *pads[1:])),
         replace(layout, adc_max=254),
-        replace(layout, sample_bits=16),
+        replace(layout, adc_max=4095),
     ]
     assert len({layout.layout_hash, *(changed.layout_hash for changed in other)}) == 5
     assert replace(layout, name="renamed").layout_hash == layout.layout_hash
@@ -100,8 +100,7 @@ SMALL = TaxelLayout(name="small", pads=tuple(INNER))
         (INNER[0], {"centre_m": (0.0, float("inf"), 0.0)}, "finite"),
         (INNER[0], {"y_axis": (0.0, 2.0, 0.0)}, "orthonormal"),
         (INNER[0], {"y_axis": (1.0, 0.0, 0.0)}, "orthonormal"),
-        (SMALL, {"sample_bits": 12}, "12"),
-        (SMALL, {"adc_max": 256}, "256"),
+        (SMALL, {"adc_max": 65536}, "65536"),
         (SMALL, {"adc_max": 0}, "adc_max is 0"),
         (SMALL, {"pads": (INNER[0],)}, "1 and 0"),
         (SMALL, {"pads": (INNER[0], replace(INNER[0], name="b"), INNER[1])}, "2 and 1"),

@@ -22,9 +22,8 @@ from simulator.can.messages import BurstFormat
 from simulator.can.scanner import PadForces
 from simulator.errors import SimulatorStateError
 from tactile.control_unit import object_dictionary as od
-from tactile.frames.assembler import FrameAssembler
-from tactile.frames.codec import FrameFormat
 from tactile.frames.force_message import decode_force_message, encode_zero, force_table
+from tactile.frames.transport import FrameAssembler, FrameFormat
 from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 from tactile.sensor.calibration import Calibration, FoamCalibration, LinearCalibration
 from tactile.source import ForceMessage, ForceStatus, FrameStatus, TactileFrame

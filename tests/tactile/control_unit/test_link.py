@@ -40,7 +40,7 @@ from tactile.errors import (
     NodeStateChanged,
     ObjectRefused,
 )
-from tactile.frames.codec import FrameFormat
+from tactile.frames.transport import FrameFormat
 from tactile.layout import paper_layout, pinch_layout
 
 NODE = 5
@@ -501,7 +501,7 @@ def test_the_defaults_of_the_eds_are_those_of_the_papers_layout() -> None:
     assert defaults == [
         [od.VENDOR_ID, od.PRODUCT_CODE, od.REVISION, 1],
         [layout.n_pads, layout.n_taxels, layout.layout_hash, layout.adc_max],
-        [layout.sample_bits, layout.sample_bytes, form.n_messages, form.header_bytes],
+        [layout.sample_bits, layout.sample_bits // 8, form.n_messages, form.header_bytes],
     ]
     assert dictionary[0x1014].default == 0x85
 

@@ -1,22 +1,89 @@
-"""The assembler of frames from bursts of messages; incomplete frames are dropped."""
+"""The transport of frames: one frame of samples in one burst of 8-byte messages. Pure.
+
+A message is a header and data. The header has the frame's phase (counter modulo 4) in the two top
+bits, then the message's index in the burst. It has one byte for up to 64 messages, else two (high
+byte first). The data of all messages of a burst in order are the samples (u8 or u16 little-endian),
+zero bytes up to the trailer, and the trailer at the end of the last message. The trailer is the
+frame counter u16 LE, status u8, and CRC-16/CCITT-FALSE u16 LE over all data before it.
+"""
+
+import binascii
+import struct
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.frames.codec import (
-    CRC_BYTES,
-    INDEX_BITS,
-    MESSAGE_BYTES,
-    PHASE_SHIFT,
-    PHASES,
-    TRAILER,
-    FrameFormat,
-    crc16_ccitt,
-)
+from tactile.errors import LayoutError
+from tactile.layout import TaxelLayout
 from tactile.source import COUNTER_MASK, FrameStatistics, TactileFrame
 
+MESSAGE_BYTES = 8
+"""Data bytes of every message: all that a classic CAN message has."""
+_TRAILER = struct.Struct("<HBH")
+"""End of the last message: frame counter, status, CRC."""
+CRC_BYTES = 2
+CRC_START = 0xFFFF
+"""Start value of CRC-16/CCITT-FALSE."""
+_PHASES = 4
+"""Number of phases, the counter's two lowest bits."""
+PHASE_SHIFT = 6
+"""The phase is in the two top bits of the first header byte."""
+_INDEX_BITS = 0x3F
+"""Bits of the message's index, or of its high byte, in the first header byte."""
 _HALF_TURN = 0x8000
 """Least difference to the last counter of a counter that is older, not newer."""
+_SHORT_INDEX_LIMIT = _INDEX_BITS + 1
+_LONG_INDEX_LIMIT = _SHORT_INDEX_LIMIT * 256
+"""Largest number of messages with a header of one byte, or of two."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameFormat:
+    """Division of a frame of a given size into messages."""
+
+    n_taxels: int
+    """Samples in a frame."""
+    sample_bytes: int
+    """1 or 2."""
+
+    def __post_init__(self) -> None:
+        if self.n_messages > _LONG_INDEX_LIMIT:
+            raise LayoutError(
+                f"{self.n_taxels} taxels need {self.n_messages} messages a frame, allowed are "
+                f"{_LONG_INDEX_LIMIT}; use fewer taxels"
+            )
+
+    @classmethod
+    def of(cls, layout: TaxelLayout) -> "FrameFormat":
+        """Return the format of a layout's frames."""
+        return cls(n_taxels=layout.n_taxels, sample_bytes=layout.sample_bits // 8)
+
+    @property
+    def samples_bytes(self) -> int:
+        """Bytes of all samples of a frame."""
+        return self.n_taxels * self.sample_bytes
+
+    @property
+    def header_bytes(self) -> int:
+        """Bytes of the header of each message: 1 or 2."""
+        content = self.samples_bytes + _TRAILER.size
+        return 1 if content <= _SHORT_INDEX_LIMIT * (MESSAGE_BYTES - 1) else 2
+
+    @property
+    def data_bytes(self) -> int:
+        """Bytes of data in each message: 7 or 6."""
+        return MESSAGE_BYTES - self.header_bytes
+
+    @property
+    def n_messages(self) -> int:
+        """Messages of one frame."""
+        return -(-(self.samples_bytes + _TRAILER.size) // self.data_bytes)
+
+
+def crc16_ccitt(data: bytes) -> int:
+    """Return the CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF."""
+    return binascii.crc_hqx(data, CRC_START)
 
 
 class _Burst:
@@ -48,7 +115,7 @@ class FrameAssembler:
         self._format, self._order = frame_format, order
         self._n = frame_format.n_messages
         self._long_header = frame_format.header_bytes == 2
-        self._dtype = "<u1" if frame_format.sample_bytes == 1 else "<u2"
+        self._dtype = f"<u{frame_format.sample_bytes}"
         self._open: dict[int, _Burst] = {}
         self._newest: _Burst | None = None
         self._last_counter: int | None = None
@@ -61,7 +128,7 @@ class FrameAssembler:
             self.counts.short += 1
             return None
         head = data[0]
-        index = head & INDEX_BITS
+        index = head & _INDEX_BITS
         if self._long_header:
             index = index << 8 | data[1]
         if index >= self._n:
@@ -98,8 +165,8 @@ class FrameAssembler:
             # The previous burst is over. Another message of its phase is a late duplicate. After
             # two lost frames it is a new frame, which must not be compared with it.
             self._give_up_all_but(burst)
-        counter, status, crc = TRAILER.unpack(payload[-TRAILER.size :])
-        if crc16_ccitt(payload[:-CRC_BYTES]) != crc or counter % PHASES != burst.phase:
+        counter, status, crc = _TRAILER.unpack(payload[-_TRAILER.size :])
+        if crc16_ccitt(payload[:-CRC_BYTES]) != crc or counter % _PHASES != burst.phase:
             self.counts.corrupt += 1
             return None
         if self._last_counter is not None:
