@@ -23,7 +23,7 @@ from cell.hand.local import sensor_settings
 from cell.interfaces.cli.app import app
 from cell.recording.dataset import read_grasps
 from cell.runtime import simulate
-from cell.simulation import InProcessPlacer, simulated_objects, simulator_settings
+from cell.simulation import InProcessPlacer, simulator_settings
 from gripper.errors import PortLost
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
@@ -211,10 +211,6 @@ def test_the_servos_of_the_default_cell_are_neither_the_catalogues_nor_alike() -
         (model.rotor_inertia_kg_m2, first.inertia_kg_m2, second.inertia_kg_m2),
     ):
         assert len(set(figures)) == 3
-
-
-def test_the_built_in_objects_are_those_of_the_paper() -> None:
-    assert set(simulated_objects(CellConfig())) == {"oval", "cylinder", "box", "ball", "dumbbell"}
 
 
 @pytest.mark.parametrize(

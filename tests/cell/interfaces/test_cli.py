@@ -615,22 +615,13 @@ HEAVY = {"numpy", "scipy", "matplotlib", "canopen", "can", "rich", "serial", "jo
 )
 def test_help_and_completion_load_nothing_heavy(arguments, environment) -> None:
     program = (
-        "import sys, atexit\n"
-        "atexit.register(lambda: print(*sorted(sys.modules), file=sys.stderr))\n"
-        "sys.argv[0] = 'tactile-cell'\n"
-        "from cell.interfaces.cli import main\n"
-        "main()"
+        "import sys, atexit; atexit.register(lambda: print(*sys.modules, file=sys.stderr));"
+        "sys.argv[0] = 'tactile-cell'; from cell.interfaces.cli import main; main()"
     )
     if environment:
         environment = environment | {"_TACTILE_CELL_COMPLETE": "complete_bash"}
-    ended = subprocess.run(
-        [sys.executable, "-c", program, *arguments],
-        env=os.environ | environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert ended.returncode == 0, ended.stderr
+    command, env = [sys.executable, "-c", program, *arguments], os.environ | environment
+    ended = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
     assert len(ended.stdout) > 3
     loaded = set(ended.stderr.split())
     assert "typer" in loaded
