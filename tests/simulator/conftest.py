@@ -1,6 +1,7 @@
 """Benches that several tests of the simulator share."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import pytest
 
@@ -11,6 +12,8 @@ from simulator.servo.device import SimulatedServo
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, ServoMount
 from simulator.servo.motor import ServoMotor
 from simulator.servo.protocol2 import Instruction, PacketParser, encode_instruction
+
+FINGERS = partial(FingerMechanics, linkage=ParallelogramLinkage(), aperture_m=0.06)
 
 
 class ServoBench:
@@ -23,16 +26,14 @@ class ServoBench:
         model: ServoModel = XM430_W350,
         settings: Mapping[str, int] | None = None,
         baudrate: int = 1_000_000,
+        motor: Callable[[ServoModel], ServoMotor] = ServoMotor,
+        fingers: Callable[..., FingerMechanics] = FINGERS,
     ) -> None:
         self.clock = VirtualClock()
-        self.motors = [ServoMotor(model) for _ in ids]
+        self.motors = [motor(model) for _ in ids]
         self.force_n = (0.0, 0.0)
-        self.mechanics = None
-        if len(ids) <= 2:
-            mounts = [ServoMount(direction=1), ServoMount(direction=-1)][: len(ids)]
-            self.mechanics = FingerMechanics(
-                self.motors, mounts, ParallelogramLinkage(), aperture_m=0.06
-            )
+        mounts = [ServoMount(direction=1), ServoMount(direction=-1)][: len(ids)]
+        self.mechanics = fingers(self.motors, mounts)
         defaults = {"baud_rate": 3, "return_delay_time": 0}
         self.servos = [
             SimulatedServo(i, model, motor, settings={**defaults, **(settings or {})})
@@ -44,8 +45,7 @@ class ServoBench:
         self._last_s = 0.0
 
     def _advance(self, now_s: float) -> None:
-        if self.mechanics is not None:
-            self.mechanics.step(now_s - self._last_s, self.force_n)
+        self.mechanics.step(now_s - self._last_s, self.force_n)
         self._last_s = now_s
         self.device.advance_to(now_s)
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,47 +17,33 @@ from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import MODELS, XL330_M288, XM430_W350
 from gripper.dynamixel.serial_port import ByteStream
-from simulator.clock import VirtualClock
-from simulator.servo.bus import MemoryServoStream, ServoBusDevice
-from simulator.servo.device import SimulatedServo
+from simulator.servo.bus import MemoryServoStream
 from simulator.servo.gearing import drawn_gearing
-from simulator.servo.mechanics import FingerMechanics, RackLinkage, ServoMount
+from simulator.servo.mechanics import FingerMechanics, RackLinkage
 from simulator.servo.motor import ServoMotor, ServoNoise
 from tests.cell.commissioning.hands import Question, Script
+from tests.simulator.conftest import ServoBench
 
 ARM_M = 0.1
 G_PER_N = 1e3 / 9.80665
 SCALE_N_M = 2e4
 
 
-class SimulatedBench(LineOpener):
+class SimulatedBench(ServoBench, LineOpener):
     """A servo with an arm over a scale or free; and a person who sets it up."""
 
     def __init__(self, model: str = "XM430-W350", n_servos: int = 1) -> None:
-        self.clock = VirtualClock()
-        drawn = drawn_gearing(MODELS[model], "7")
-        self.motor = ServoMotor(MODELS[model], gearing=drawn, noise=ServoNoise("7"))
-        self.mechanics = FingerMechanics(
-            [self.motor],
-            [ServoMount()],
-            RackLinkage(pinion_radius_m=ARM_M, travel_m=0.9),
-            aperture_m=0.0,
-            half_opening_min_m=-0.9,
-        )
-        servo = SimulatedServo(1, MODELS[model], self.motor, settings={"baud_rate": 3})
-        self.servo = servo
-        others = [
-            SimulatedServo(
-                1 + n, MODELS[model], ServoMotor(MODELS[model]), settings={"baud_rate": 3}
-            )
-            for n in range(1, n_servos)
-        ]
-        self.device = ServoBusDevice([servo, *others], 1_000_000)
-        self.stream = MemoryServoStream(self.device, self.clock)
+        drawn = {"gearing": drawn_gearing(MODELS[model], "7"), "noise": ServoNoise("7")}
+        arm = RackLinkage(pinion_radius_m=ARM_M, travel_m=0.9)
         self.place = "free"
         self.rest_m = 0.0
-        self._last_s = 0.0
-        self.clock.on_advance.append(self._advance)
+        super().__init__(
+            range(1, 1 + n_servos),
+            model=MODELS[model],
+            motor=partial(ServoMotor, **drawn),
+            fingers=partial(FingerMechanics, linkage=arm, aperture_m=0.0, half_opening_min_m=-0.9),
+        )
+        (self.motor, *_), (self.servo, *_) = self.motors, self.servos
         bus = ServoBus(self.stream, baudrate=1_000_000, clock=self.clock)
         self.rig = Rig(bus, 1, MODELS[model], self.clock)
         self.rig.press = -1
