@@ -1,7 +1,6 @@
 """From a config to a cell."""
 
 import json
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -28,7 +27,6 @@ from gripper.errors import PortLost
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from pytest_tactile_cell.configs import simulated_config
-from pytest_tactile_cell.virtual import grasps_of
 from simulator.cell import SimulatedCell
 from simulator.servo.gearing import GEARINGS
 from simulator.servo.mechanics import RackLinkage
@@ -343,7 +341,7 @@ FLEXITAC, USKIN = (load_config(ROOT / "config" / f"{name}.yaml") for name in ("f
 
 @pytest.mark.slow
 @pytest.mark.parametrize("profile", ["12x32", *(LONG(name) for name in ("16x32", "16x16"))])
-def test_a_cell_grasps_and_records_on_boards_of_each_profile(profile, tmp_path) -> None:
+def test_a_cell_grasps_and_records_on_boards_of_each_profile(make_bench, profile, tmp_path) -> None:
     config = changed_config(
         FLEXITAC,
         {
@@ -352,27 +350,23 @@ def test_a_cell_grasps_and_records_on_boards_of_each_profile(profile, tmp_path) 
             "tactile.tare_frames": 30,
         },
     )
-    cell = build_cell(config, folder=tmp_path)
-    with closing(cell):
-        cell.controller.start()
-        (grasp,) = grasps_of(cell.controller, config.sequence, ["ball"], 1)
-        assert grasp.force_n[-1] > 3.0
-        health = cell.health()["tactile"]
-        assert health["complete"] > 60
-        assert (health["torn"], health["force_received"], health["void_frames"]) == (0, 0, 0)
+    bench = make_bench(config, folder=tmp_path).ready()
+    grasp = bench.grasp(4.0).grasp
+    assert grasp.force_n[-1] > 3.0
+    health = bench.cell.health()["tactile"]
+    assert health["complete"] > 60
+    assert (health["torn"], health["force_received"], health["void_frames"]) == (0, 0, 0)
+    bench.cell.close()
     (recorded,) = read_grasps(tmp_path / "recording.mcap")
     assert (recorded.counts == grasp.counts).all()
 
 
 @pytest.mark.long
-def test_a_cell_on_boards_finds_its_self_zero_by_closing_empty_fingers() -> None:
+def test_a_cell_on_boards_finds_its_self_zero_by_closing_empty_fingers(make_bench) -> None:
     config = changed_config(FLEXITAC, {"self_zero": "always", "tactile.tare_frames": 30})
-    cell = build_cell(config)
-    with closing(cell):
-        cell.controller.start()
-        assert cell.controller.life.fault is None
-        zero = cell.controller.zeros.newest
-        assert abs(1e3 * zero.opening_m) < 0.5
+    bench = make_bench(config).start()
+    assert bench.life.fault is None
+    assert abs(1e3 * bench.controller.zeros.newest.opening_m) < 0.5
 
 
 OPERATED = {"gripper.port": "/dev/ttyUSB0", "positioner": {"kind": "operator"}}
@@ -430,31 +424,26 @@ def test_a_real_cell_on_boards_needs_no_can_channel() -> None:
 
 
 @pytest.mark.slow
-def test_each_approach_has_a_zero_of_its_own_while_z_drifts() -> None:
-    config = changed_config(USKIN, {"tactile.tare_frames": 30})
-    cell = build_cell(config)
-    clock, world = cell.simulated.clock, cell.simulated.devices.world
-    with closing(cell):
-        cell.controller.start()
-        first = cell.controller.zeroing.taxels
-        for _ in range(2):
-            # 2,000 counts are 0.45 N on each taxel: no force could be measured by the first zero.
-            day = cell.simulated.inject("uskin.drift=2000")
-            for _ in range(10):
-                clock.sleep(0.1)
-                cell.controller.life.tick()
-            day.clear()
-            slow = cell.simulated.inject("uskin.drift=100")
-            cell.controller.moves.present("box")
-            cell.controller.grip(4.0, Pose())
-            assert cell.controller.hand.phase is GripperPhase.HOLDING
-            assert min(world.contact_force_n()) == pytest.approx(4.0, abs=0.6)
-            cell.controller.release()
-            slow.clear()
-        zero = cell.controller.zeroing.taxels
-        moved = zero.offset_counts - first.offset_counts
-        assert moved.min() > 3500
-        assert zero.n_frames == 20
+def test_each_approach_has_a_zero_of_its_own_while_z_drifts(make_bench) -> None:
+    bench = make_bench(changed_config(USKIN, {"tactile.tare_frames": 30})).start()
+    first = bench.controller.zeroing.taxels
+    for _ in range(2):
+        # 2,000 counts are 0.45 N on each taxel: no force could be measured by the first zero.
+        day = bench.inject("uskin.drift=2000")
+        for _ in range(10):
+            bench.sleep(0.1)
+            bench.life.tick()
+        day.clear()
+        slow = bench.inject("uskin.drift=100")
+        bench.controller.moves.present("box")
+        bench.controller.grip(4.0, Pose())
+        assert bench.controller.hand.phase is GripperPhase.HOLDING
+        assert bench.grip_n == pytest.approx(4.0, abs=0.6)
+        bench.controller.release()
+        slow.clear()
+    zero = bench.controller.zeroing.taxels
+    assert (zero.offset_counts - first.offset_counts).min() > 3500
+    assert zero.n_frames == 20
 
 
 DRIVES = {"kind": "axes", "can": {"interface": "socketcan", "channel": "can0"}, "axes": [X_AXIS]}

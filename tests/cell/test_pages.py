@@ -20,9 +20,7 @@ from typer.testing import CliRunner
 
 from benchmarks.__main__ import modules
 from cell import installation
-from cell.build import build_cell
 from cell.config.file import changed_config, config_text, load_config, parse_config
-from cell.control.plan import GraspStep, Pose
 from cell.interfaces.cli.app import app
 from cell.recording.retention import mark
 from cell.service.history import History
@@ -109,7 +107,7 @@ def test_the_page_on_recordings_can_be_typed(here) -> None:
 @pytest.mark.parametrize(
     "page", ["open-parallel-gripper", "rh-p12-rn", "connect-flexitac", "connect-uskin"]
 )
-def test_the_page_on_hardware_can_be_typed(page, tmp_path, monkeypatch) -> None:
+def test_the_page_on_hardware_can_be_typed(page, make_bench, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     *_, checked = typed(f"how-to/{page}.md")
     assert "valid" in checked
@@ -118,15 +116,9 @@ def test_the_page_on_hardware_can_be_typed(page, tmp_path, monkeypatch) -> None:
     if page == "rh-p12-rn":
         # The example says it: `tactile-cell hand zero` first, or the friction is unknown.
         config = changed_config(config, {"self_zero": "always"})
-    cell = build_cell(config)
-    try:
-        cell.controller.start()
-        cell.controller.moves.present("box")
-        record = cell.controller.grasp(GraspStep(pose=Pose(), force_n=4.0))
-    finally:
-        cell.close()
-    assert record.outcome.result is not GraspResult.PART_LOST
-    assert record.outcome.final_force_n == pytest.approx(4.0, abs=1.0)
+    outcome = make_bench(config).ready("box").grasp(4.0).outcome
+    assert outcome.result is not GraspResult.PART_LOST
+    assert outcome.final_force_n == pytest.approx(4.0, abs=1.0)
 
 
 # -- The README's test is that of a page; the example of hosts runs; what the README names exist----

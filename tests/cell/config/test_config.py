@@ -15,7 +15,6 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from ruamel.yaml import YAML
 
-from cell.build import build_cell
 from cell.config.file import (
     MAX_BYTES,
     SHORT_KEYS,
@@ -30,7 +29,6 @@ from cell.config.model import CellConfig
 from cell.config.positioner import ServoAxisConfig
 from cell.config.section import Declared
 from cell.config.tactile import LayoutName, PadConfig, PadsConfig, TactileConfig, layout_from_config
-from cell.control.plan import GraspStep, Pose
 from cell.errors import ConfigError
 from cell.formats import CONFIG
 from cell.sensors.flexitac import FlexiTacConfig
@@ -39,7 +37,14 @@ from gripper.mechanics.kinematics import end_transmissions
 from gripper.settings import GripperSettings
 from tactile.flexitac.stream import PROFILES
 from tactile.layout import LAYOUTS
-from tests.faults.campaign import CHANGES, ROTATION_AXIS, WRIST, X_AXIS, campaign_config
+from tests.faults.campaign import (
+    CHANGES,
+    ROTATION_AXIS,
+    WRIST,
+    X_AXIS,
+    campaign_cell,
+    campaign_config,
+)
 from tests.marks import LONG
 
 CONFIG_FOLDER = Path(__file__).parents[3] / "config"
@@ -400,29 +405,9 @@ ENDS = {f"{path}={value:g}": {path: value} for path, value in ends(_USUAL)}
 """Change of the config by the name of each end."""
 
 
-def config_at(end: str) -> CellConfig:
-    """Return a config with short jobs and a key at its end; ConfigError where it is refused."""
-    return campaign_config({"gripper.aperture_open_mm": 16.0} | _MORE_KEYS.get(end, {}) | ENDS[end])
-
-
-def grasp(end: str) -> None:
-    """Start, bring the ball and grasp it with a key at its end; raises what goes wrong."""
-    config = config_at(end)
-    with simulation_of(config) as simulated:
-        cell = build_cell(config, simulated=simulated)
-
-        def look(now_s: float) -> None:
-            if now_s > _BOUND_S:
-                pytest.fail("a start and a grasp take too long")
-
-        simulated.clock.on_advance.append(look)
-        try:
-            cell.controller.start()
-            cell.controller.moves.present("ball")
-            cell.controller.grasp(GraspStep(pose=Pose(), force_n=config.sequence.forces_n[0]))
-        finally:
-            simulated.clock.on_advance.remove(look)
-            cell.close()
+def changes_at(end: str) -> dict[str, Any]:
+    """Return the changes of a config with short jobs and a key at its end."""
+    return {"gripper.aperture_open_mm": 16.0} | _MORE_KEYS.get(end, {}) | ENDS[end]
 
 
 GRASPED = tuple(
@@ -437,7 +422,7 @@ def test_all_ends_are_accepted_but_those_that_others_forbid() -> None:
     for end in ENDS:
         complaint = complaints.pop(end, "")
         with pytest.raises(ConfigError, match=complaint) if complaint else nullcontext():
-            config = config_at(end)
+            config = campaign_config(changes_at(end))
             if end.startswith("simulator."):
                 simulation_of(config).close()
     assert complaints == {}
@@ -446,18 +431,17 @@ def test_all_ends_are_accepted_but_those_that_others_forbid() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("end", [GRASPED[0], *map(LONG, GRASPED[1:])])
 def test_a_grasp_is_done_at_the_end(end) -> None:
-    grasp(end)
+    with campaign_cell(changes_at(end)) as cell, cell.monitor.bounded(_BOUND_S):
+        cell.start()
+        cell.grasp(cell.config.sequence.forces_n[0])
 
 
 @pytest.mark.parametrize(("bitrate", "period_ms"), [(250_000, 43), (500_000, 20), (1_000_000, 10)])
-def test_each_frame_is_through_in_the_shortest_period_of_a_bit_rate(bitrate, period_ms) -> None:
+def test_each_frame_is_through_in_the_shortest_period_of_a_bit_rate(
+    make_bench, bitrate, period_ms
+) -> None:
     keys = {"self_zero": "never", "tactile.bitrate": bitrate, "tactile.tare_frames": 50}
     with pytest.raises(ConfigError, match=f"tactile.sync_period_ms {period_ms} or more"):
         changed_config(CellConfig(), keys | {"tactile.sync_period_ms": period_ms - 1.0})
     config = changed_config(CellConfig(), keys | {"tactile.sync_period_ms": float(period_ms)})
-    cell = build_cell(config)
-    try:
-        cell.controller.start()
-        assert cell.controller.hand.statistics.source.frames.lost == 0
-    finally:
-        cell.close()
+    assert make_bench(config).start().controller.hand.statistics.source.frames.lost == 0
