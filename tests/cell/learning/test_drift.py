@@ -19,7 +19,6 @@ from cell.learning.training import calibrate_model, identify_recorded
 from cell.recording.reader import read_recording
 from cell.runtime import tasks
 from cell.runtime.goals import IdentifyGoal, TeachGoal
-from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.worker import Report
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift
@@ -29,6 +28,7 @@ from recognition.grasp import Grasp
 from recognition.recognizer import Posterior
 from recognition.statistics.fusion import Decision, DecisionKind, StopRule
 from tests.cell.conftest import REAL, UNSURE, Scripted, plain_grasp, small_config
+from tests.cell.served import done
 from tests.fuzz.harness import Clock
 from tests.values import raising
 
@@ -209,18 +209,12 @@ def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(monkeypat
 
 
 @pytest.mark.slow
-def test_a_plugin_saves_what_was_taught_or_what_it_followed(taught, tmp_path) -> None:
-    plugin = TactileCellPlugin(taught.config, model=taught.result.model)
-    try:
-        goal = IdentifyGoal(max_grasps=1, present="ball", whole_ramps=True)
-        job = plugin.start(goal)
-        answer = plugin.result(job, 60.0)
-        plugin.save(tmp_path / "taught.npz")
-        plugin.save(tmp_path / "followed.npz", followed=True)
-        plugin.result(plugin.forget_drift(), 5.0)
-        plugin.save(tmp_path / "forgotten.npz", followed=True)
-    finally:
-        plugin.close()
+def test_a_plugin_saves_what_was_taught_or_what_it_followed(plugin, taught, tmp_path) -> None:
+    answer = done(plugin, IdentifyGoal(max_grasps=1, present="ball", whole_ramps=True))
+    plugin.save(tmp_path / "taught.npz")
+    plugin.save(tmp_path / "followed.npz", followed=True)
+    plugin.result(plugin.forget_drift(), 5.0)
+    plugin.save(tmp_path / "forgotten.npz", followed=True)
     assert answer.drift is not None
     names = ("taught", "followed", "forgotten")
     before, same, followed, forgotten = (
