@@ -5,6 +5,7 @@ from functools import partial
 
 import pytest
 
+from gripper.dynamixel.control_table import REGISTERS
 from gripper.dynamixel.models import XM430_W350, ServoModel
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
@@ -73,6 +74,21 @@ class ServoBench:
         assert error & 0x7F == 0
         assert len(data) == size
         return int.from_bytes(data, "little", signed=signed)
+
+    def get(self, servo_id: int, name: str) -> int:
+        """Read an item by its name."""
+        item = REGISTERS[name]
+        return self.read(servo_id, item.address, item.size, signed=item.signed)
+
+    def gets(self, servo_id: int, *names: str) -> list[int]:
+        """Read items by their names."""
+        return [self.get(servo_id, name) for name in names]
+
+    def put(self, servo_id: int, **values: int) -> None:
+        """Write items by their names, one after the other, each without an error."""
+        for name, value in values.items():
+            item = REGISTERS[name]
+            assert self.write(servo_id, item.address, item.size, value) == 0, name
 
     def write(self, servo_id: int, address: int, size: int, value: int) -> int:
         """Write one item and return the error byte."""

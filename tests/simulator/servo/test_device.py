@@ -1,6 +1,7 @@
 """Simulated servos on one bus: access rules, errors, service instructions, faults of the wire."""
 
 import math
+from operator import attrgetter
 
 import pytest
 
@@ -22,8 +23,8 @@ def test_factory_values(model):
         if name not in {"id", "baud_rate", "return_delay_time"}:
             register = REGISTERS[name]
             assert bench.read(1, register.address, register.size) == value, name
-    assert bench.read(1, 100, 2) == 885
-    assert bench.read(1, 102, 2) == model.current_limit_raw
+    assert bench.get(1, "goal_pwm") == 885
+    assert bench.get(1, "goal_current") == model.current_limit_raw
 
 
 @pytest.mark.parametrize(
@@ -77,22 +78,18 @@ def test_bytes_between_items_read_as_zero(bench):
 def test_one_bad_item_keeps_the_whole_block_from_being_written(bench):
     data = (200).to_bytes(2, "little") + (5000).to_bytes(2, "little")
     assert bench.ask(1, Instruction.WRITE, bytes((100, 0)) + data) == (LIMIT, b"")
-    assert bench.read(1, 100, 2) == 885
+    assert bench.get(1, "goal_pwm") == 885
 
 
 def test_writing_the_mode_resets_gains_profiles_and_goals(bench):
-    bench.write(1, 36, 2, 500)
-    bench.write(1, 38, 2, 300)
-    bench.write(1, 84, 2, 1)
-    bench.write(1, 90, 2, 7)
-    bench.write(1, 112, 4, 30)
-    bench.write(1, 102, 2, 20)
-    assert bench.write(1, 11, 1, 5) == 0
-    assert bench.read(1, 84, 2) == 800
-    assert bench.read(1, 90, 2) == 0
-    assert bench.read(1, 112, 4) == 0
-    assert bench.read(1, 36, 2) == bench.read(1, 100, 2) == 885
-    assert bench.read(1, 102, 2) == 300
+    bench.put(1, pwm_limit=500, current_limit=300, position_p_gain=1, feedforward_1st_gain=7)
+    bench.put(1, profile_velocity=30, goal_current=20, operating_mode=5)
+    assert bench.gets(1, "position_p_gain", "feedforward_1st_gain", "profile_velocity") == [
+        800,
+        0,
+        0,
+    ]
+    assert bench.gets(1, "pwm_limit", "goal_pwm", "goal_current") == [885, 885, 300]
 
 
 @pytest.mark.parametrize(
@@ -101,12 +98,13 @@ def test_writing_the_mode_resets_gains_profiles_and_goals(bench):
 )
 def test_a_change_to_mode_5_loads_its_gains(model, gains):
     bench = ServoBench([1], model=model)
-    plain = [bench.read(1, address, 2) for address in (80, 82, 84)]
-    assert plain == [0 if model is XM430_W350 else gains[0], *gains[1:]]
-    bench.write(1, 11, 1, 5)
-    assert tuple(bench.read(1, address, 2) for address in (80, 82, 84)) == gains
-    bench.write(1, 11, 1, 3)
-    assert [bench.read(1, address, 2) for address in (80, 82, 84)] == plain
+    names = [f"position_{letter}_gain" for letter in "dip"]
+    plain = [0 if model is XM430_W350 else gains[0], *gains[1:]]
+    assert bench.gets(1, *names) == plain
+    bench.put(1, operating_mode=5)
+    assert bench.gets(1, *names) == [*gains]
+    bench.put(1, operating_mode=3)
+    assert bench.gets(1, *names) == plain
 
 
 @pytest.mark.parametrize(("model", "error"), [(XM430_W350, ACCESS), (XL330_M288, 0)])
@@ -114,30 +112,29 @@ def test_only_the_330_size_has_a_pwm_slope(model, error):
     bench = ServoBench([1], model=model)
     assert bench.write(1, 62, 1, 70) == error
     if not error:
-        bench.write(1, 64, 1, 1)
+        bench.put(1, torque_enable=1)
         assert bench.motors[0].command.slope_raw == 70
 
 
 def test_the_pwm_limit_survives_other_modes(bench):
-    bench.write(1, 36, 2, 500)
-    assert bench.write(1, 11, 1, 16) == 0
-    assert bench.read(1, 36, 2) == bench.read(1, 100, 2) == 500
+    bench.put(1, pwm_limit=500, operating_mode=16)
+    assert bench.get(1, "pwm_limit") == bench.get(1, "goal_pwm") == 500
 
 
 def test_the_realtime_tick_counts_ms_and_wraps(bench):
     bench.clock.sleep(1.0)
-    first = bench.read(1, 120, 2)
+    first = bench.get(1, "realtime_tick")
     bench.clock.sleep(0.25)
-    assert 250 <= bench.read(1, 120, 2) - first < 290
+    assert 250 <= bench.get(1, "realtime_tick") - first < 290
     servo = bench.servos[0]
     assert servo.read(120, 2, 32.767).data == (32767).to_bytes(2, "little")
     assert servo.read(120, 2, 32.768).data == bytes(2)
 
 
 def test_reverse_mode_mirrors_the_position():
-    plain = ServoBench().read(1, 132, 4, signed=True)
+    plain = ServoBench().get(1, "present_position")
     reverse = ServoBench(settings={"drive_mode": 1, "operating_mode": 4})
-    assert reverse.read(1, 132, 4, signed=True) == (-plain) % 4096
+    assert reverse.get(1, "present_position") == (-plain) % 4096
 
 
 def multi_turn():
@@ -148,34 +145,32 @@ def multi_turn():
 
 def test_extended_position_counts_turns_until_a_reboot():
     bench = multi_turn()
-    before = bench.read(1, 132, 4, signed=True)
+    before = bench.get(1, "present_position")
     assert before > 3 * 4096
     bench.ask(1, Instruction.REBOOT)
     bench.clock.sleep(0.5)
-    assert bench.read(1, 132, 4, signed=True) == before - 3 * 4096
+    assert bench.get(1, "present_position") == before - 3 * 4096
 
 
 @pytest.mark.parametrize("entry", ["mode", "torque"])
 def test_mode_3_falls_back_to_one_turn(entry: str):
     bench = multi_turn()
-    bench.write(1, 11, 1, 3)
+    bench.put(1, operating_mode=3)
     if entry == "torque":
         bench.motors[0].angle_rad += math.tau
-        assert bench.read(1, 132, 4, signed=True) > 4096
-        bench.write(1, 64, 1, 1)
-    assert 0 <= bench.read(1, 132, 4, signed=True) < 4096
+        assert bench.get(1, "present_position") > 4096
+        bench.put(1, torque_enable=1)
+    assert 0 <= bench.get(1, "present_position") < 4096
 
 
 def test_reboot_answers_first_then_is_deaf_and_loses_its_ram(bench):
-    bench.write(1, 64, 1, 1)
-    bench.write(1, 112, 4, 20)
+    bench.put(1, torque_enable=1, profile_velocity=20)
     assert bench.ask(1, Instruction.REBOOT) == (0, b"")
     assert bench.exchange(encode_instruction(1, Instruction.PING)) == b""
     bench.clock.sleep(0.4)
-    assert bench.read(1, 64, 1) == 0
-    assert bench.read(1, 112, 4) == 0
-    assert bench.read(1, 116, 4) == bench.read(1, 132, 4)
-    assert bench.read(1, 120, 2) < 1000
+    assert bench.gets(1, "torque_enable", "profile_velocity") == [0, 0]
+    assert bench.get(1, "goal_position") == bench.get(1, "present_position")
+    assert bench.get(1, "realtime_tick") < 1000
 
 
 def ids(answer: bytes) -> list[int]:
@@ -188,7 +183,7 @@ def ids(answer: bytes) -> list[int]:
 )
 def test_broadcasts_reach_all_and_are_not_acknowledged(bench, instruction, parameters, led):
     assert bench.exchange(encode_instruction(0xFE, instruction, bytes.fromhex(parameters))) == b""
-    assert [bench.read(i, 65, 1) for i in (1, 2)] == [led, led]
+    assert [bench.get(i, "led") for i in (1, 2)] == [led, led]
 
 
 @pytest.mark.parametrize(
@@ -202,7 +197,7 @@ def test_broadcasts_reach_all_and_are_not_acknowledged(bench, instruction, param
 )
 def test_group_instructions_cut_off_are_passed_over(bench, instruction: int, parameters: str):
     assert bench.exchange(encode_instruction(0xFE, instruction, bytes.fromhex(parameters))) == b""
-    assert [bench.read(i, 65, 1) for i in (1, 2)] == [0, 0]
+    assert [bench.get(i, "led") for i in (1, 2)] == [0, 0]
 
 
 # Wire time
@@ -354,11 +349,9 @@ def closing():
             servo.watchdog_stop = watchdog_stop
         pressing.clock.sleep(0.01)
         for servo_id in (1, 2):
-            present = pressing.read(servo_id, 132, 4)
-            assert pressing.write(servo_id, 116, 4, present) == 0
-            assert pressing.write(servo_id, 102, 2, 100) == 0
-            assert pressing.write(servo_id, 64, 1, 1) == 0
-            assert pressing.write(servo_id, 116, 4, 2048) == 0
+            present = pressing.get(servo_id, "present_position")
+            pressing.put(servo_id, goal_position=present, goal_current=100, torque_enable=1)
+            pressing.put(servo_id, goal_position=2048)
         pressing.force_n = (9.0, 9.0)
         return pressing
 
@@ -372,69 +365,54 @@ def pressing(closing):
 
 def test_position_mode_reaches_its_goal_and_says_so():
     pressing = ServoBench()
-    goal = pressing.read(1, 132, 4) - 300
-    pressing.write(1, 112, 4, 100)
-    pressing.write(1, 64, 1, 1)
-    assert pressing.write(1, 116, 4, goal) == 0
+    goal = pressing.get(1, "present_position") - 300
+    pressing.put(1, profile_velocity=100, torque_enable=1, goal_position=goal)
     pressing.clock.sleep(0.05)
-    assert pressing.read(1, 122, 1) == 1
-    assert pressing.read(1, 123, 1) == 0x32
-    assert pressing.read(1, 128, 4, signed=True) < -50
+    assert pressing.gets(1, "moving", "moving_status") == [1, 0x32]
+    assert pressing.get(1, "present_velocity") < -50
     pressing.clock.sleep(1.5)
-    assert pressing.read(1, 132, 4) == pytest.approx(goal, abs=12)
-    assert pressing.read(1, 122, 1) == 0
-    assert pressing.read(1, 123, 1) == 0x31
-    assert pressing.read(1, 140, 4) == goal
+    assert pressing.get(1, "present_position") == pytest.approx(goal, abs=12)
+    assert pressing.gets(1, "moving", "moving_status", "position_trajectory") == [0, 0x31, goal]
 
 
 @pytest.mark.parametrize(
-    ("mode", "goal_item", "goal", "read_item"),
-    [(0, (102, 2), -80, (126, 2)), (1, (104, 4), -40, (128, 4)), (16, (100, 2), -200, (124, 2))],
-    ids=["current", "velocity", "pwm"],
+    ("mode", "quantity", "goal"), [(0, "current", -80), (1, "velocity", -40), (16, "pwm", -200)]
 )
-def test_current_velocity_and_pwm_modes(mode, goal_item, goal, read_item):
+def test_current_velocity_and_pwm_modes(mode, quantity, goal):
     pressing = ServoBench(settings={"operating_mode": mode})
-    assert pressing.write(1, *goal_item, 0) == 0
-    pressing.write(1, 64, 1, 1)
-    assert pressing.write(1, *goal_item, goal) == 0
+    pressing.put(1, **{f"goal_{quantity}": 0}, torque_enable=1)
+    pressing.put(1, **{f"goal_{quantity}": goal})
     pressing.clock.sleep(0.2)
-    assert pressing.read(1, *read_item, signed=True) == pytest.approx(goal, abs=3)
+    assert pressing.get(1, f"present_{quantity}") == pytest.approx(goal, abs=3)
     assert pressing.motors[0].velocity_rad_s < 0.0
 
 
-@pytest.mark.parametrize(
-    ("mode", "goal_address", "limit", "read_address"),
-    [(0, 102, (38, 2, 90), 126), (16, 100, (36, 2, 300), 124)],
-    ids=["current", "pwm"],
-)
-def test_a_limit_lowered_afterwards_bounds_the_goal(mode, goal_address, limit, read_address):
+@pytest.mark.parametrize(("mode", "quantity", "limit"), [(0, "current", 90), (16, "pwm", 300)])
+def test_a_limit_lowered_afterwards_bounds_the_goal(mode, quantity, limit):
     pressing = ServoBench(settings={"operating_mode": mode})
-    pressing.write(1, goal_address, 2, -700)
-    pressing.write(1, *limit)
-    pressing.write(1, 64, 1, 1)
+    names = {f"goal_{quantity}": -700, f"{quantity}_limit": limit}
+    pressing.put(1, **names, torque_enable=1)
     pressing.clock.sleep(0.05)
-    assert pressing.read(1, read_address, 2, signed=True) == pytest.approx(-limit[-1], abs=2)
+    assert pressing.get(1, f"present_{quantity}") == pytest.approx(-limit, abs=2)
 
 
 def test_the_gains_reach_the_motor():
     pressing = ServoBench(model=XC330_M288, settings={"operating_mode": 5})
-    pressing.write(1, 64, 1, 1)
-    assert (pressing.motors[0].command.p_gain, pressing.motors[0].command.d_gain) == (1100, 500)
-    pressing.write(1, 80, 2, 700)
-    pressing.write(1, 84, 2, 900)
-    assert (pressing.motors[0].command.p_gain, pressing.motors[0].command.d_gain) == (900, 700)
-    pressing.write(1, 98, 1, 1)
+    pressing.put(1, torque_enable=1)
+    gains = attrgetter("command.p_gain", "command.d_gain")
+    assert gains(pressing.motors[0]) == (1100, 500)
+    pressing.put(1, position_d_gain=700, position_p_gain=900)
+    assert gains(pressing.motors[0]) == (900, 700)
+    pressing.put(1, bus_watchdog=1)
     pressing.clock.sleep(0.05)
-    assert (pressing.motors[0].command.p_gain, pressing.motors[0].command.d_gain) == (900, 700)
+    assert gains(pressing.motors[0]) == (900, 700)
 
 
 @pytest.mark.parametrize(("model", "obeyed"), [(XM430_W350, 1), (XL330_M288, 0)])
 def test_the_profile_reaches_the_motor_but_not_in_mode_5_of_the_330_size(model, obeyed: int):
     pressing = ServoBench(model=model, settings={"operating_mode": 5})
-    pressing.write(1, 112, 4, 40)
-    pressing.write(1, 108, 4, 20)
-    pressing.write(1, 64, 1, 1)
-    pressing.write(1, 116, 4, 2048)
+    pressing.put(1, profile_velocity=40, profile_acceleration=20, torque_enable=1)
+    pressing.put(1, goal_position=2048)
     command = pressing.motors[0].command
     assert command.profile_velocity_rad_s == obeyed * 40 * XM430_W350.velocity_unit_rad_s
     assert command.profile_acceleration_rad_s2 == obeyed * 20 * XM430_W350.acceleration_unit_rad_s2
@@ -442,37 +420,36 @@ def test_the_profile_reaches_the_motor_but_not_in_mode_5_of_the_330_size(model, 
 
 def test_reverse_mode_turns_the_motor_the_other_way():
     pressing = ServoBench(settings={"operating_mode": 1, "drive_mode": 1})
-    pressing.write(1, 64, 1, 1)
-    pressing.write(1, 104, 4, 40)
+    pressing.put(1, torque_enable=1, goal_velocity=40)
     pressing.clock.sleep(0.1)
     assert pressing.motors[0].velocity_rad_s < 0.0
-    assert pressing.read(1, 128, 4, signed=True) == pytest.approx(40, abs=4)
+    assert pressing.get(1, "present_velocity") == pytest.approx(40, abs=4)
 
 
 # Bus watchdog
 
 
 def test_any_packet_feeds_the_watchdog(pressing):
-    pressing.write(1, 98, 1, 5)
+    pressing.put(1, bus_watchdog=5)
     for _ in range(10):
         pressing.clock.sleep(0.07)
         pressing.stream.write(encode_instruction(200, Instruction.PING))
-    assert pressing.read(1, 98, 1) == 5
+    assert pressing.get(1, "bus_watchdog") == 5
 
 
 def test_a_damaged_packet_does_not_feed_the_watchdog(pressing):
-    pressing.write(1, 98, 1, 2)
+    pressing.put(1, bus_watchdog=2)
     bad = bytearray(encode_instruction(200, Instruction.PING))
     bad[-1] ^= 1
     pressing.clock.sleep(0.03)
     pressing.stream.write(bytes(bad))
     pressing.clock.sleep(0.03)
-    assert pressing.read(1, 98, 1, signed=True) == -1
+    assert pressing.get(1, "bus_watchdog") == -1
 
 
 def trip(pressing):
     pressing.clock.sleep(0.3)
-    pressing.write(1, 98, 1, 5)
+    pressing.put(1, bus_watchdog=5)
     pressing.clock.sleep(0.11)
     assert pressing.servos[0].watchdog_tripped
 
@@ -497,18 +474,16 @@ def test_a_trip_can_leave_the_motor_without_current_or_turning(closing, stop, cu
     pressing = closing(stop)
     trip(pressing)
     pressing.clock.sleep(0.05)
-    assert pressing.read(1, 126, 2, signed=True) == current
-    assert pressing.read(1, 64, 1) == 1
+    assert pressing.gets(1, "present_current", "torque_enable") == [current, 1]
     assert pressing.write(1, 102, 2, 0) == RANGE
 
 
 def test_a_cleared_motor_waits_for_a_goal(pressing):
     trip(pressing)
     stopped = pressing.motors[0].command
-    assert pressing.write(1, 98, 1, 0) == 0
-    assert pressing.write(1, 112, 4, 10) == 0
+    pressing.put(1, bus_watchdog=0, profile_velocity=10)
     assert pressing.motors[0].command == stopped
-    assert pressing.write(1, 116, 4, 2048) == 0
+    pressing.put(1, goal_position=2048)
     assert pressing.motors[0].command != stopped
 
 
@@ -529,17 +504,16 @@ def test_a_latched_error_drops_the_torque_until_a_reboot(pressing, provoke, bits
     provoke(pressing.servos[0])
     pressing.clock.sleep(0.01)
     assert pressing.ask(1, Instruction.READ, bytes((70, 0, 1, 0))) == (ALERT, bytes((bits,)))
-    assert pressing.read(1, 64, 1) == 0
-    assert pressing.read(1, 126, 2) == 0
+    assert pressing.gets(1, "torque_enable", "present_current") == [0, 0]
     assert pressing.write(1, 64, 1, 1) == ALERT | 1
     assert pressing.ask(2, Instruction.PING)[0] == 0
     pressing.servos[0].injected_error = 0
     pressing.motors[0].temperature_c = 30.0
-    assert pressing.read(1, 70, 1) == bits
+    assert pressing.get(1, "hardware_error_status") == bits
     assert pressing.ask(1, Instruction.REBOOT)[0] == ALERT
     pressing.clock.sleep(0.5)
     assert pressing.ask(1, Instruction.PING)[0] == 0
-    assert pressing.read(1, 70, 1) == 0
+    assert pressing.get(1, "hardware_error_status") == 0
 
 
 @pytest.mark.parametrize("voltage_v", [9.0, 16.5])
@@ -548,13 +522,13 @@ def test_a_wrong_supply_alerts_but_keeps_the_torque_by_default(pressing, voltage
     pressing.clock.sleep(0.01)
     error, data = pressing.ask(1, Instruction.READ, bytes((144, 0, 2, 0)))
     assert (error, int.from_bytes(data, "little")) == (ALERT, round(10 * voltage_v))
-    assert pressing.read(1, 64, 1) == 1
+    assert pressing.get(1, "torque_enable") == 1
     assert pressing.write(1, 0, 2, 0) == ALERT | 7
 
 
 def test_the_xl330_shuts_down_on_a_wrong_supply():
     pressing = ServoBench(model=XL330_M288)
-    pressing.write(1, 64, 1, 1)
+    pressing.put(1, torque_enable=1)
     pressing.motors[0].voltage_v = 3.0
     pressing.clock.sleep(0.01)
-    assert pressing.read(1, 64, 1) == 0
+    assert pressing.get(1, "torque_enable") == 0
