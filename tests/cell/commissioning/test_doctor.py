@@ -99,7 +99,7 @@ def test_what_has_changed_names_the_step_to_repeat(changes, what, step) -> None:
 
 def disturb(simulated: Any) -> None:
     """Lose some frames of a running unit."""
-    operational = lambda: simulated.unit.state == "OPERATIONAL"  # noqa: E731
+    operational = lambda: simulated.unit.nmt_state == "OPERATIONAL"  # noqa: E731
     once(simulated.clock, operational, lambda: simulated.inject("can.lose_next=5"), after_s=0.1)
 
 
