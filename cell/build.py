@@ -44,8 +44,7 @@ from cell.simulation import (
 from gripper.clock import Clock
 from gripper.dynamixel.serial_port import ByteStream, SerialStream
 from gripper.values.state import GripperPhase
-from motion.axes import Axes
-from motion.bus import Watch
+from motion.axes import Axes, Watch
 from simulator.cell import SimulatedCell
 from simulator.clock import Pace
 from tactile.can.bus import CanBus, close_bus, open_bus

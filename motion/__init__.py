@@ -1,8 +1,8 @@
 """Axes that move the object between two grasps: CiA 402 drives and one Dynamixel wrist.
 
 A program moves axes with `Axes` and an `Axis` for each, in m and rad.
-`drive` is one CiA 402 drive on a CAN bus (`bus`), `servo` one Dynamixel servo in extended position
-mode; both count in increments. `object_dictionary` names the objects of a drive (``drive.eds``),
+`drive` has CiA 402 drives on a CAN bus, `servo` one Dynamixel servo in extended position mode; both
+count in increments. `object_dictionary` names the objects of a drive (``drive.eds``),
 and `errors` has all errors. This package does not use the fingers.
 """
 

@@ -1,29 +1,37 @@
-"""One CiA 402 drive: state machine, profile position, homing, quick stop, supervision.
+"""CiA 402 drives on a CAN bus: state machine, profile position, homing, quick stop, supervision.
 
 All access is by SDO: it needs no PDO mapping, and each write is confirmed. A moving drive is polled
 some hundred times a second, a standing one is not polled. canopen's own profile 402
 (`canopen.profiles.p402`) waits by the computer's clock, and has no set-point and no limits.
 """
 
+import math
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
+import can
+import canopen
 from canopen.nmt import NMT_COMMANDS, NMT_STATES
 
 from motion import errors, object_dictionary as od
-from motion.axis import POLL_S, Axis, AxisSettings
-from motion.bus import HOST_NODE, DriveBus
+from motion.axes import POLL_S, Axis, AxisSettings, Watch
 from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, Status
+from tactile.can.receiver import PolledSource, of_another_kind
 from tactile.can.sdo_client import (
     COB_SDO_REQUEST,
     COB_SDO_RESPONSE,
     PolledSdoClient,
     SdoNotAnswered,
 )
-from tactile.errors import NodeMissing, ObjectRefused
+from tactile.errors import LinkFault, NodeMissing, ObjectRefused
 
+_HOST_NODE = 127
+"""Node-ID of the host's own heartbeat: the last one, which no drive here has."""
+_HOST_HEARTBEAT_S = 0.05
+"""Period in s of that heartbeat while an axis moves."""
 HEARTBEAT_S = 0.05
 """Period in s of the drive's heartbeat (1017h)."""
 _HOST_LOST_FACTOR = 2.0
@@ -63,6 +71,72 @@ _NEXT = {
 """Controlword that leads from each state towards OPERATION ENABLED."""
 _AT_FAULT = ("FAULT", "FAULT REACTION ACTIVE")
 """States of a drive at fault."""
+
+
+class DriveBus(canopen.Network):
+    """CAN bus of one to three drives, used by the thread that moves them; canopen dispatches.
+
+    Parameters
+    ----------
+    loss_s
+        Time in s without a heartbeat after which a drive is lost.
+    """
+
+    def __init__(self, bus: can.BusABC, watch: Watch, loss_s: float) -> None:
+        super().__init__(bus)
+        self.watch = watch
+        self.loss_s = loss_s
+        self.clock = watch.clock
+        self._source = PolledSource(bus, watch.clock)
+        self._beat_due_s = math.inf
+
+    def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
+        """Send a message. Raises AxisSilent when the interface fails."""
+        with _failures_named():
+            super().send_message(can_id, data, remote)
+
+    def beat(self) -> None:
+        """Start the host's heartbeat, for drives that stop without it."""
+        self._beat_due_s = self.clock.monotonic() + _HOST_HEARTBEAT_S
+        self.send_message(od.COB_HEARTBEAT + _HOST_NODE, bytes((_OPERATIONAL,)))
+
+    def service(self) -> None:
+        """Pass on received messages, and send the heartbeat when it is due.
+
+        Raises AxisSilent when the interface fails.
+        """
+        if self.clock.monotonic() >= self._beat_due_s:
+            self.beat()
+        with _failures_named():
+            messages = self._source.drain()
+        for _, message in messages:
+            # Error frames are not used: a disturbed controller shows by missing heartbeats,
+            # here within `loss_s`, and at the drives.
+            unusable = message.is_error_frame or len(message.data) != message.dlc
+            if unusable or of_another_kind(message):
+                continue
+            self.notify(message.arbitration_id, message.data, message.timestamp)
+
+    def drop_old(self) -> None:
+        """Drop messages from the time without polls."""
+        with _failures_named():
+            self._source.start()
+
+    def wait(self, most_s: float) -> None:
+        """Wait for at most ``most_s`` s under supervision."""
+        self._source.wait(most_s)
+        self.watch.look()
+
+
+@contextmanager
+def _failures_named() -> Iterator[None]:
+    try:
+        yield
+    except (can.CanError, OSError, LinkFault) as error:
+        raise errors.AxisSilent(
+            f"the CAN interface of the axes failed: {error}; the axes cannot be stopped over it. "
+            "Check the adapter, use the emergency stop where an axis still moves"
+        ) from error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,7 +262,7 @@ class Cia402Drive(Axis):
         target = self.target(position)
         # The monitored node-ID, and its longest silence in ms (CiA 301, 1016h).
         host_lost_ms = round(1e3 * _HOST_LOST_FACTOR * self._bus.loss_s)
-        self._write("Consumer heartbeat time.Host", HOST_NODE << 16 | host_lost_ms)
+        self._write("Consumer heartbeat time.Host", _HOST_NODE << 16 | host_lost_ms)
         self._bus.beat()
         self._write("Target position", target)
         self._target = target

@@ -11,8 +11,7 @@ from gripper.dynamixel.models import OperatingMode, ServoModel
 from gripper.errors import BusCorrupt, BusTimeout, GripperError
 from gripper.values.servo_checks import hardware_error_names
 from motion import errors
-from motion.axis import Axis, AxisSettings
-from motion.bus import Watch
+from motion.axes import Axis, AxisSettings, Watch
 
 _WATCHDOG_FACTOR = 2.0
 """Time of the bus watchdog over that after which the servo counts as lost. The watchdog is armed

@@ -13,10 +13,8 @@ from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.models import MODELS
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.values.state import GripperPhase
-from motion.axes import Axes
-from motion.axis import Axis
-from motion.bus import DriveBus, Watch
-from motion.drive import Cia402Drive, DriveSettings
+from motion.axes import Axes, Axis, Watch
+from motion.drive import Cia402Drive, DriveBus, DriveSettings
 from motion.errors import AxisLimitExceeded, MotionError, PositionNotReached
 from motion.object_dictionary import HomingMethod
 from motion.servo import ServoAxis, ServoAxisSettings

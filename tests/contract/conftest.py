@@ -30,9 +30,8 @@ from gripper.dynamixel.control_table import REGISTERS, TORQUE_ENABLE, Register
 from gripper.dynamixel.models import XM430_W350
 from gripper.dynamixel.serial_port import ByteStream
 from motion import object_dictionary as od
-from motion.axes import Axes
-from motion.bus import DriveBus, Watch
-from motion.drive import Cia402Drive
+from motion.axes import Axes, Watch
+from motion.drive import Cia402Drive, DriveBus
 from pytest_tactile_cell.bench import LinkBench
 from pytest_tactile_cell.faults import FaultRegistry
 from pytest_tactile_cell.options import HardwareOptions, config_path

@@ -10,9 +10,8 @@ import pytest
 
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.models import XM430_W350
-from motion.axes import Axes
-from motion.bus import DriveBus, Watch
-from motion.drive import Cia402Drive, DriveSettings
+from motion.axes import Axes, Watch
+from motion.drive import Cia402Drive, DriveBus, DriveSettings
 from motion.object_dictionary import HomingMethod
 from motion.servo import ServoAxis, ServoAxisSettings
 from simulator.can.drive import DriveMount, SimulatedDrive
