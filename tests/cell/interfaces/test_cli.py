@@ -26,7 +26,7 @@ from cell.control.records import GraspRecord
 from cell.errors import ConfigError, RecordingError
 from cell.interfaces.cli import main
 from cell.interfaces.cli.app import app
-from cell.interfaces.cli.commands.run import confusion_table
+from cell.interfaces.cli.commands.run import confusion_table, result_lines
 from cell.interfaces.cli.terminal import (
     ask,
     percent,
@@ -36,6 +36,7 @@ from cell.interfaces.cli.terminal import (
     print_note,
     print_table,
     progress_bar,
+    show,
 )
 from cell.learning.model import load_model, save_model
 from cell.learning.training import train
@@ -43,6 +44,7 @@ from cell.recording import sink
 from cell.recording.dataset import read_dataset, write_dataset
 from cell.recording.reader import read_recording
 from cell.recording.recorder import Recorder
+from cell.report.confusion import score
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckTrainer
 from tests.cell.conftest import call, once, plain_grasp, quick_config
@@ -148,6 +150,19 @@ def test_tables_lose_nothing_on_narrow_terminals_and_in_pipes(monkeypatch, width
     assert ("│" in text) == (width == 80)
     if width is None:
         assert text.splitlines()[:2] == ["held:", "  long_name: long_name 9, UNKNOWN 1"]
+
+
+def test_the_paper_is_put_beside_its_five_objects(taught, capsys) -> None:
+    labels = ("box", "ball", "oval", "cylinder", "dumbbell")
+    right = score("", labels, labels, labels)
+    scores = dict.fromkeys(("force_ramp", "level_check"), right)
+    show(result_lines(replace(taught.result, labels=labels, scores=scores), {}))
+    lines = capsys.readouterr().out.splitlines()
+    assert "its Table 1): 48 of 50 right" in lines[0]
+    assert "  ball: ball 90, cylinder 10" in lines
+    # Two answers that are right alike have one table.
+    assert sum("5 of 5 right, 0 wrong" in line for line in lines) == 2
+    assert lines.count("  ball: ball 1") == 1
 
 
 @pytest.mark.slow
