@@ -153,6 +153,8 @@ def make_bench(undo: ExitStack) -> MakeBench:
 
     def make(config: CellConfig | None = None, **options: Any) -> Bench:
         chosen = config or quick_config()
+        if folder := options.get("folder"):
+            folder.mkdir(exist_ok=True)
         cell = undo.enter_context(closing(build_cell(chosen, **options)))
         return Bench(config=chosen, cell=cell, simulated=cell.simulated)
 

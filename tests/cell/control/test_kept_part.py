@@ -1,7 +1,6 @@
 """Parts that stay in the grip: kept by an identification or a grip, verified, carried, let go."""
 
 import threading
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -119,13 +118,6 @@ def test_the_part_is_held_while_it_is_named_where_it_may_be_kept(bench: Any, kee
     assert recognizer.seen == pytest.approx([wanted_n, wanted_n], abs=TOLERANCE_N)
 
 
-def until(bench: Any, happens: Callable[[], bool]) -> Callable[[], bool]:
-    """Return what waits on another thread until something has happened in the cell."""
-    happened = threading.Event()
-    bench.simulated.clock.on_advance.append(lambda _now_s: happened.set() if happens() else None)
-    return lambda: happened.wait(20.0)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("keep", "phase"),
@@ -135,8 +127,9 @@ def test_a_hand_in_a_process_of_its_own_moves_on_while_the_answer_is_computed(
     bench: Any, monkeypatch: pytest.MonkeyPatch, keep: Keep, phase: GripperPhase
 ) -> None:
     monkeypatch.setattr(LocalHand, "own_process", True)
-    reached = until(bench, lambda: bench.controller.hand.phase is phase)
-    recognizer = Scripted(SURE, look=reached)
+    reached = threading.Event()
+    bench.once_in(phase, reached.set)
+    recognizer = Scripted(SURE, look=lambda: reached.wait(20.0))
     answer = identify(bench, recognizer, keep)
     assert recognizer.seen == [True]
     assert (answer.label, answer.in_grip) == ("ball", keep is Keep.ALWAYS)

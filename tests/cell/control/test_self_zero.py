@@ -124,7 +124,6 @@ def test_a_part_that_was_left_is_named_and_kept_not_zeroed_on(make_bench, when, 
 @pytest.mark.slow
 def test_a_daily_start_opens_again_on_a_part_and_goes_on(make_bench, tmp_path) -> None:
     config = small_config(self_zero="daily")
-    (tmp_path / "job").mkdir()
     bench = make_bench(config, folder=tmp_path / "job")
     bench.simulated.place("ball")
     pressed_n: list[float] = []
@@ -158,7 +157,6 @@ def test_a_daily_start_takes_no_zero_that_is_far_off(make_bench) -> None:
 def test_a_zero_that_cannot_be_written_counts_in_its_program(make_bench, tmp_path, when) -> None:
     """Nobody has asked a daily start for one, and a full disk is no fault of the hand."""
     config = small_config(self_zero=when)
-    (tmp_path / "job").mkdir()
     zero_file(tmp_path, config.name).mkdir()
     bench = make_bench(config, folder=tmp_path / "job")
     bench.controller.start()
@@ -207,7 +205,6 @@ def test_it_is_measured_at_a_start_where_it_is_due(make_bench, tmp_path, when, t
     file = zero_file(tmp_path, config.name)
     seen: list[Any] = []
     for job in ("first", "second"):
-        (tmp_path / job).mkdir()
         bench = make_bench(config, folder=tmp_path / job)
         before = bench.controller.zeros.newest
         bench.controller.start()
@@ -322,7 +319,6 @@ def test_a_zero_of_another_control_unit_counts_as_none(make_bench, tmp_path: Pat
     config = small_config()
 
     def begun(job: str) -> Any:
-        (tmp_path / job).mkdir()
         bench = make_bench(config, folder=tmp_path / job).ready()
         bench.simulated.remove()
         return bench
