@@ -114,10 +114,12 @@ class VirtualCell:
         gripper.errors.GripperError, tactile.errors.TactileError
             A fault that the controller detects.
         """
-        end_s = self.clock.monotonic() + seconds
-        while self.clock.monotonic() < end_s:
+        due_s = self.clock.monotonic()
+        end_s = due_s + seconds
+        while due_s < end_s:
+            due_s = max(due_s + self.controller.hand.period_s, self.clock.monotonic())
+            self.clock.advance_to(due_s)
             self.controller.life.tick()
-            self.clock.sleep(self.controller.hand.period_s)
 
     def grasp(self, force_n: float = 3.0, pose: Pose | None = None) -> GraspRecord:
         """Run one grasp up to a force in N; see `CellController.grasp` for what it raises."""

@@ -162,15 +162,6 @@ class CampaignCell(Bench):
         finally:
             self.clock.on_advance.remove(look)
 
-    def idle(self, seconds: float) -> None:
-        """Let time pass while the cell supervises its links, once a period."""
-        end_s = self.now_s + seconds
-        due_s = self.now_s
-        while self.now_s < end_s:
-            due_s = max(due_s + self.controller.hand.period_s, self.now_s)
-            self.simulated.clock.sleep(due_s - self.now_s)
-            self.controller.life.tick()
-
 
 @contextmanager
 def campaign_cell(changes: Mapping[str, Any] | None = None) -> Iterator[CampaignCell]:
