@@ -26,7 +26,7 @@ _FRICTION_SHARE = 0.054
 """Friction over the stall torque where no graph gives it; that of the XM430-W350's graph."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class DataSheet:
     """Figures of one model at its nominal voltage."""
 
@@ -36,9 +36,21 @@ class DataSheet:
     no_load_rad_s: float
     inertia_kg_m2: float
     """Inertia of rotor and gears at the output; no vendor gives it, so these are estimates."""
-    kt_nm_a: float
-    friction_nm: float
-    """Torque at the output with rising load: T = kt I - friction."""
+    kt_of_graph_nm_a: float | None = None
+    friction_of_graph_nm: float | None = None
+    """Torque at the output with rising load, T = kt I - friction, by a graph; None: without one."""
+
+    @property
+    def friction_nm(self) -> float:
+        """Friction with rising load."""
+        of_stall_nm = _FRICTION_SHARE * self.stall_torque_nm
+        return of_stall_nm if self.friction_of_graph_nm is None else self.friction_of_graph_nm
+
+    @property
+    def kt_nm_a(self) -> float:
+        """Torque of the motor over its current with rising load."""
+        of_stall_nm_a = (self.stall_torque_nm + self.friction_nm) / self.stall_current_a
+        return of_stall_nm_a if self.kt_of_graph_nm_a is None else self.kt_of_graph_nm_a
 
     @property
     def winding_ohm(self) -> float:
@@ -46,43 +58,22 @@ class DataSheet:
         return self.voltage_v / self.stall_current_a
 
 
-def _sheet(
-    voltage_v: float,
-    stall_nm: float,
-    stall_a: float,
-    no_load_rad_s: float,
-    inertia_kg_m2: float,
-    *,
-    kt_nm_a: float | None = None,
-    friction_nm: float | None = None,
-) -> DataSheet:
-    friction_nm = _FRICTION_SHARE * stall_nm if friction_nm is None else friction_nm
-    return DataSheet(
-        voltage_v=voltage_v,
-        stall_torque_nm=stall_nm,
-        stall_current_a=stall_a,
-        no_load_rad_s=no_load_rad_s,
-        inertia_kg_m2=inertia_kg_m2,
-        kt_nm_a=(stall_nm + friction_nm) / stall_a if kt_nm_a is None else kt_nm_a,
-        friction_nm=friction_nm,
-    )
-
-
 _SHEETS = {
+    # Voltage, stall torque and current, speed without load, inertia; torque constant and friction.
     # The performance graph of the XM430-W350 (forum.robotis.com/t/5827); 0.012 kg m² is an upper
     # bound of its inertia.
-    "XM430-W350": _sheet(12.0, 4.1, 2.3, 46 * _RAD_S, 0.012, kt_nm_a=1.769, friction_nm=0.2214),
-    "XM430-W210": _sheet(12.0, 3.0, 2.3, 77 * _RAD_S, 0.0043),
-    "XL330-M288": _sheet(5.0, 0.52, 1.47, 103 * _RAD_S, 0.0012),
-    "XC330-M288": _sheet(5.0, 0.93, 1.8, 81 * _RAD_S, 0.0012),
+    "XM430-W350": DataSheet(12.0, 4.1, 2.3, 46 * _RAD_S, 0.012, 1.769, 0.2214),
+    "XM430-W210": DataSheet(12.0, 3.0, 2.3, 77 * _RAD_S, 0.0043),
+    "XL330-M288": DataSheet(5.0, 0.52, 1.47, 103 * _RAD_S, 0.0012),
+    "XC330-M288": DataSheet(5.0, 0.93, 1.8, 81 * _RAD_S, 0.0012),
     # Peak current, closing speed of 75 mm/s; torque constant and friction are assumed.
-    "RH-P12-RN(A)": _sheet(24.0, 32.0, 3.33, 0.76, 0.1, kt_nm_a=10.0, friction_nm=1.8),
+    "RH-P12-RN(A)": DataSheet(24.0, 32.0, 3.33, 0.76, 0.1, 10.0, 1.8),
 }
 
 
 def data_sheet(model: ServoModel) -> DataSheet:
     """Return the data sheet of a model; that of a plug-in's model is its own."""
-    return _SHEETS.get(model.name) or _sheet(
+    return _SHEETS.get(model.name) or DataSheet(
         model.nominal_voltage_v,
         model.stall_torque_nm,
         model.stall_current_a,

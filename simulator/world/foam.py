@@ -11,8 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.errors import SimulatorSettingsError
-
 TABLE_STEP_M = 10e-6
 """Spacing in m of the depths in a force table: 1/300 of the foam."""
 
@@ -93,10 +91,6 @@ class ForceTable:
         self, foam: Foam | FoamPair, reach_m: NDArray[np.float64], cell_area_m2: float
     ) -> None:
         surface_m = reach_m[np.isfinite(reach_m)]
-        if surface_m.size == 0:
-            raise SimulatorSettingsError(
-                "the object lies beside the pad: place it between the pads"
-            )
         self.reach_max_m = float(surface_m.max())
         """Highest point of the surface in m."""
         self._foam = foam

@@ -7,7 +7,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from simulator.errors import SimulatorSettingsError, SimulatorStateError
+from simulator.errors import SimulatorStateError
 from simulator.world.foam import Foam, ForceTable
 from simulator.world.press import NEST_FRICTION_N, PadPair
 from simulator.world.shapes import PAPER_OBJECTS, ObjectPose
@@ -335,8 +335,3 @@ def test_noise_scales_with_level_and_full_scale() -> None:
     assert half == pytest.approx(0.5 * full)
     assert fine == pytest.approx(full * 4095 / 255)
     assert not NoiseModel(level=0.0).sample(np.random.default_rng(3), 10, 255).any()
-
-
-def test_a_surface_that_is_nowhere_is_refused() -> None:
-    with pytest.raises(SimulatorSettingsError, match="beside the pad"):
-        ForceTable(FOAM, np.full((3, 3), -np.inf), 1e-6)
