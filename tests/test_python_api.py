@@ -89,10 +89,7 @@ def loaded(modules: str) -> set[str]:
                 "simulator",
             ),
         ),
-        (
-            "gripper, gripper.dynamixel.control_table, gripper.force.ramp",
-            SERVOS,
-        ),
+        ("gripper, gripper.dynamixel.control_table, gripper.force.ramp", SERVOS),
         (
             "tactile.layout, tactile.frames.transport, tactile.control_unit.object_dictionary, "
             "tactile.frames.force_message, tactile.sensor.sensor",

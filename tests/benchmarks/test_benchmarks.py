@@ -357,12 +357,7 @@ def test_a_figure_that_is_printed_no_more_is_named() -> None:
             "-c open-parallel-gripper",
             4,
         ),
-        (
-            "docs/how-to/connect-uskin.md",
-            "`tactile-cell run",
-            "-c uskin --teach 10 --trials 4",
-            2,
-        ),
+        ("docs/how-to/connect-uskin.md", "`tactile-cell run", "-c uskin --teach 10 --trials 4", 2),
     ],
 )
 def test_the_run_of_today_prints_what_is_quoted(page, command, options, n_cells, tmp_path) -> None:

@@ -216,8 +216,7 @@ def unit(
         node_id=wanted.node_id,
         layout=layout_from_config(wanted),
         settings=LinkSettings(
-            sync_period_s=wanted.sync_period_ms * 1e-3,
-            heartbeat_s=wanted.heartbeat_ms * 1e-3,
+            sync_period_s=wanted.sync_period_ms * 1e-3, heartbeat_s=wanted.heartbeat_ms * 1e-3
         ),
     )
     opened = Unit(bus=bus, clock=clock, node_id=wanted.node_id, link=link)

@@ -26,6 +26,7 @@ from gripper.force.supervision.part_watch import PartWatch
 from gripper.gripper import Gripper
 from gripper.servos.group import Servos
 from gripper.values.state import GripperPhase
+from pytest_tactile_cell.virtual import VirtualCell
 from simulator.errors import SimulatorError
 from simulator.faults.injector import check_fault
 from simulator.faults.vocabulary import VOCABULARY, FaultEntry, Number
@@ -364,15 +365,8 @@ class Driver:
         return self.command(name, lambda: self.controller.life.clear(reboot=reboot), reboot=reboot)
 
     def wait(self, seconds: float) -> None:
-
-        def idle() -> None:
-            clock = self.simulated.clock
-            end_s = clock.monotonic() + seconds
-            while clock.monotonic() < end_s:
-                clock.sleep(self.controller.hand.period_s)
-                self.controller.life.tick()
-
-        self.command(f"wait {seconds} s", idle)
+        cell = VirtualCell(config=self._config, cell=self.cell, simulated=self.simulated)
+        self.command(f"wait {seconds} s", lambda: cell.idle(seconds))
 
     def restart(self) -> None:
         with self.step("restart the host"):

@@ -37,10 +37,7 @@ def make_files() -> None:
     (result,) = Path("bench").glob("*.json")
     servos = [{"id": one, "model": "XM430-W350", "measured": str(result)} for one in (1, 2)]
     config = quick_config(
-        name="press-4",
-        recording__directory="jobs",
-        gripper__servos=servos,
-        sequence__max_grasps=1,
+        name="press-4", recording__directory="jobs", gripper__servos=servos, sequence__max_grasps=1
     )
     Path("tactile-cell.yaml").write_text(config_text(config, comments=False))
     for part in ("ball", "box"):

@@ -32,14 +32,7 @@ from recognition.grasp import Grasp
 from simulator.errors import SimulatorSettingsError
 from simulator.world.shape_files import load_mesh
 from tactile.source import TactileFrame
-from tests.fuzz.harness import (
-    Clock,
-    bad_input,
-    damages,
-    good_grasps,
-    same_grasps,
-    spoilt,
-)
+from tests.fuzz.harness import Clock, bad_input, damages, good_grasps, same_grasps, spoilt
 from tests.values import make_cycle
 
 pytestmark = pytest.mark.filterwarnings(

@@ -27,12 +27,7 @@ from gripper.dynamixel.serial_port import SdkPort
 from gripper.errors import GripperError
 from simulator.can.messages import BurstFormat, force_bytes
 from simulator.clock import VirtualClock
-from simulator.servo.protocol2 import (
-    Instruction,
-    crc16,
-    encode_status,
-    unstuff,
-)
+from simulator.servo.protocol2 import Instruction, crc16, encode_status, unstuff
 from tactile.can.bus import BulkSlcanBus
 from tactile.frames.force_message import ForceStream
 from tactile.frames.transport import FrameAssembler, FrameFormat

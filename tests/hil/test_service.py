@@ -74,10 +74,7 @@ def done(cell: Any, lease: int, job: int) -> int:
 
 
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize(
-    "killed",
-    ["main", "both", "hand", LONG("ended")],
-)
+@pytest.mark.parametrize("killed", ["main", "both", "hand", LONG("ended")])
 def test_a_part_outlasts_the_processes_that_hold_it(service, simulator, cell, killed) -> None:
     lease = cell.acquire("before")
     assert cell.teach(lease, "box", 5) > 0

@@ -33,8 +33,7 @@ from tests.recognition.conftest import accuracy, part
 
 
 @pytest.mark.parametrize(
-    "values",
-    [{"gains": (0.0,)}, {"gains": (1.0, 9.0)}, {"gains": ()}, {"aperture_offset_m": 0.2}],
+    "values", [{"gains": (0.0,)}, {"gains": (1.0, 9.0)}, {"gains": ()}, {"aperture_offset_m": 0.2}]
 )
 def test_drifts_out_of_range_are_refused(values):
     with pytest.raises(ValueError, match="must be"):

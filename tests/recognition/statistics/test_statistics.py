@@ -12,13 +12,7 @@ from recognition.statistics.calibration import (
     to_probability,
 )
 from recognition.statistics.class_spread import fit_class_spread
-from recognition.statistics.fusion import (
-    MAX_UNKNOWN,
-    DecisionKind,
-    StopRule,
-    decide,
-    fuse,
-)
+from recognition.statistics.fusion import MAX_UNKNOWN, DecisionKind, StopRule, decide, fuse
 from recognition.statistics.lda import LinearDiscriminant, fit_lda, squared_distances
 from recognition.statistics.taught_sizes import TaughtSizes, fit_sizes
 

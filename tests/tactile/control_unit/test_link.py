@@ -213,17 +213,9 @@ def test_a_unit_that_differs_a_little_is_started(idle, change) -> None:
     [
         ("Identity object.Vendor-ID", 1, r"vendor-ID: expected 21571 \(0x5443\), found 1"),
         ("Identity object.Product code", 2, "product code: expected 1032"),
-        (
-            "Identity object.Revision number",
-            0x2_0000,
-            r"major revision: expected 1 .*found 2",
-        ),
+        ("Identity object.Revision number", 0x2_0000, r"major revision: expected 1 .*found 2"),
         ("Identity object.Serial number", 4712, "serial number: expected 4711"),
-        (
-            "Taxel layout.Layout hash",
-            "0123456789abcdef",
-            "expected 48.*found 0123456789abc",
-        ),
+        ("Taxel layout.Layout hash", "0123456789abcdef", "expected 48.*found 0123456789abc"),
         ("Taxel layout.Number of taxels", 156, "expected 408 .*found 156"),
         ("Taxel layout.Full scale of the counts", 4095, "expected 255 .*found 4095"),
         ("Frame format.Sample bytes", 2, "Sample bytes"),

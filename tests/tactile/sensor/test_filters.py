@@ -8,12 +8,7 @@ import pytest
 from tactile.errors import CalibrationError
 from tactile.layout import paper_layout
 from tactile.sensor.calibration import FoamCalibration, LinearCalibration, TableCalibration
-from tactile.sensor.filters import (
-    ActiveTaxels,
-    Neighbourhood,
-    fill_bad,
-    smoothing_gain,
-)
+from tactile.sensor.filters import ActiveTaxels, Neighbourhood, fill_bad, smoothing_gain
 from tactile.sensor.sensor import TaxelForces
 from tactile.sensor.settings import SensorSettings
 from tactile.sensor.tare import compute_tare
