@@ -105,6 +105,8 @@ def test_a_refused_teaching_gives_no_part_a_name(plugin: Any) -> None:
     with pytest.raises(CellStateError, match="not allowed"):
         plugin.start(TeachGoal(label="my mug", grasps=3))
     assert plugin.simulate({"state": True})["objects"] == ["ball", "box"]
+    with pytest.raises(CellStateError, match="release it first"):
+        plugin.simulate({"place": "box"})
 
 
 @pytest.mark.slow

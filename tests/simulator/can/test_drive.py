@@ -23,7 +23,6 @@ class StepNetwork(canopen.Network):
         super().__init__()
         self.drive = drive
         self.now_s = 0.0
-        self.seen: list[tuple[int, bytes]] = []
         drive.connect(self._from_drive)
         self.let_pass(0.1)
 
@@ -37,7 +36,6 @@ class StepNetwork(canopen.Network):
 
     def _from_drive(self, t_s: float, can_id: int, burst: list[bytes]) -> float:
         for data in burst:
-            self.seen.append((can_id, data))
             self.notify(can_id, bytearray(data), t_s)
         return t_s
 
