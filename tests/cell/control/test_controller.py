@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -29,7 +30,6 @@ from cell.learning.shape_reading import in_words, shape_reader
 from cell.recording.reader import read_recording
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import GripperError, LimitExceeded
-from gripper.force.ramp import ForceRamp
 from gripper.force.timing import LoopStatistics
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
@@ -392,17 +392,12 @@ def test_ramps_of_the_config_end_at_the_wanted_force(config) -> None:
 @pytest.fixture
 def controller() -> CellController:
     """A controller whose hand finds nothing, and whose sensor sends no frame."""
-    released: list[Callable[..., Any]] = []
-    hand: Any = SimpleNamespace(
+    hand = Mock(
         layout=paper_layout(),
         period_s=0.005,
         phase=GripperPhase.IDLE,
         largest_ramp_n=12.0,
-        check_ramp=lambda _ramp: None,
-        open=lambda _watch: None,
-        grasp=lambda _ramp, _watch: SimpleNamespace(result=GraspResult.NO_CONTACT),
-        release=released.append,
-        released=released,
+        grasp=Mock(return_value=SimpleNamespace(result=GraspResult.NO_CONTACT)),
         statistics=HandStatistics(
             loop=LoopStatistics(), servo_bus=BusStatistics(), source=make_source_statistics()
         ),
@@ -416,7 +411,7 @@ def controller() -> CellController:
 def test_fingers_that_close_before_a_frame_comes_open_again(controller: CellController) -> None:
     with pytest.raises(NoPartFound, match="had closed before a frame of the taxels came"):
         controller.grasp(GraspStep(pose=Pose(), force_n=3.0))
-    assert len(controller.hand.released) == 1  # type: ignore[attr-defined]
+    controller.hand.release.assert_called_once()  # type: ignore[attr-defined]
     assert controller.life.result is GraspResult.NO_CONTACT
     assert (controller.life.state, controller.life.fault) == (CellState.IDLE, None)
     assert controller.life.status.fault_number == 0
@@ -426,25 +421,20 @@ def test_servos_that_carry_less_than_asked_for_end_the_ramp_there_with_one_note(
     controller: CellController, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hand: Any = controller.hand
-    finals_n, notes = [], []
+    notes: list[tuple[str, str]] = []
     monkeypatch.setattr(controller.journal, "note", lambda *note: notes.append(note))
-
-    def grasp(ramp: ForceRamp, _watch: object) -> Any:
-        finals_n.append(ramp.final_n)
-        return SimpleNamespace(result=GraspResult.NO_CONTACT)
-
-    hand.grasp, hand.largest_ramp_n = grasp, 4.0
+    hand.largest_ramp_n = 4.0
     for force_n in (3.0, 6.0, 6.0):
         with pytest.raises(NoPartFound):
             controller.grasp(GraspStep(pose=Pose(), force_n=force_n))
+    finals_n = [call.args[0].final_n for call in hand.grasp.call_args_list]
     assert finals_n == pytest.approx([3.0, 3.6, 3.6])
     ((_, note),) = (one for one in notes if one[0] == "note")
     assert "grasps end at 3.6 N, 6.0 N were asked for" in note
     assert "current_max_a" in note
     # What the config itself does not allow is refused as ever.
-    hand.check_ramp = lambda ramp: finals_n.append(ramp.final_n)
     controller._check_step(GraspStep(pose=Pose(), force_n=40.0))
-    assert finals_n[-1] == 40.0
+    assert hand.check_ramp.call_args.args[0].final_n == 40.0
 
 
 # -- Identification without a cell: when a sequence ends, what is fused, what cannot spoil it ------

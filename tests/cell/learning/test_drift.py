@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -89,8 +90,7 @@ def model_of(recognizer: Any, **changes: object) -> TaughtModel:
 
 def identified(model: TaughtModel, *records: Any) -> str:
     """Identify once; return the remark."""
-    controller: Any = Grasping(records[0].grasp, records)
-    return named(controller, model)[1]
+    return named(grasping(records[0].grasp, records), model)[1]
 
 
 def named(controller: Any, model: TaughtModel, **goal: Any) -> tuple[Identification, str]:
@@ -149,36 +149,23 @@ def test_recorded_grasps_are_followed_in_the_order_of_time() -> None:
     assert [answer.name for answer, *_ in alone] == 4 * ["UNKNOWN"]
 
 
-class Grasping:
-    """A controller whose grasps are given."""
+def grasping(grasp: Grasp, records: Sequence[Any] = ()) -> Any:
+    """Return a controller whose grasps are given."""
 
-    def __init__(self, grasp: Grasp, records: Sequence[Any] = ()) -> None:
-        self.given, self.remarks = grasp, list[tuple[str, str]]()
-        self.records = tuple(records) or (record(grasp),)
-        self.moves, self.journal, self.clock, self.brought = self, self, Clock(), None
-
-    def present(self, label: object) -> None:
-        pass
-
-    def check_plan(self, plan: object, label: str) -> None:
-        pass
-
-    def grasp(self, _step: object, *, label: str) -> Any:
-        return record(replace(self.given, label=label))
-
-    def identify(self, recognizer: Follower, *_: object, **__: object) -> Any:
-        posterior = recognizer.posterior(self.given)
+    def identify(recognizer: Follower, *_: object, **__: object) -> Identification:
+        posterior = recognizer.posterior(grasp)
         return Identification(
             label="ball",
             decision=Decision(kind=DecisionKind.DECIDED, label="ball", probability=0.9),
             posteriors=(posterior,),
             fused=posterior,
-            records=self.records,
+            records=tuple(records) or (record(grasp),),
             drift=getattr(recognizer, "grid", None),
         )
 
-    def note(self, kind: str, text: str) -> None:
-        self.remarks.append((kind, text))
+    take = lambda _step, *, label: record(replace(grasp, label=label))  # noqa: E731
+    journal = Mock(brought=None)
+    return Mock(clock=Clock(), journal=journal, identify=identify, grasp=take)
 
 
 def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(monkeypatch) -> None:
@@ -189,22 +176,23 @@ def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(monkeypat
         return Trained(recognizer=Follower(), trainer_name=name)
 
     monkeypatch.setattr("cell.learning.taught_model.train", train)
-    controller: Any = Grasping(plain_grasp("ball"))
+    grasp = plain_grasp("ball")
+    controller = grasping(grasp)
     model, told = TaughtModel(small_config()), list[Any]()
     cell = tasks.Tasks(controller, tasks.ModelFile(model, None))
     report = Report(1, lambda **now: told.append(now))
     cell.teach(TeachGoal(label="ball", grasps=1), report)
-    assert np.array_equal(taught_with[0][0].counts, controller.given.counts)
+    assert np.array_equal(taught_with[0][0].counts, grasp.counts)
     answers = []
     for _ in range(3):
         answers.append(cell.identify(IdentifyGoal(), report))
     assert [bool(answer.remark) for answer in answers] == [False, True, False]
-    assert controller.remarks == [("drift", answers[1].remark)]
+    controller.journal.note.assert_called_once_with("drift", answers[1].remark)
     assert [a.drift.likely for a in answers if a.drift] == [False, False, True]
     cell.teach(TeachGoal(label="box", grasps=1), report)
     first, second = taught_with[1]
-    assert np.array_equal(first.counts, controller.given.counts)
-    assert second.aperture_m == pytest.approx(controller.given.aperture_m + 4e-3, abs=1e-4)
+    assert np.array_equal(first.counts, grasp.counts)
+    assert second.aperture_m == pytest.approx(grasp.aperture_m + 4e-3, abs=1e-4)
     assert model.drift.n_followed == 3
 
 
