@@ -138,9 +138,13 @@ def test_services_follow_the_nmt_state(line) -> None:
     assert line.skin.scans == 1
 
 
-@pytest.mark.parametrize("command", [b"", b"\x01", b"\x01\x06", b"\x01\x05\x00", b"\x63\x05"])
+@pytest.mark.parametrize(
+    "command", [b"", b"\x01", b"\x01\x06", b"\x81\x06", b"\x01\x05\x00", b"\x63\x05"]
+)
 def test_nmt_commands_that_are_not_meant_change_nothing(line, command) -> None:
     assert line.tell(NMT, command) == []
+    line.wait(0.1)
+    assert line.take() == []
     assert line.unit.nmt_state == "PRE-OPERATIONAL"
 
 
