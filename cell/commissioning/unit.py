@@ -26,6 +26,7 @@ from cell.config.tactile import (
 )
 from cell.hand.local import frame_source, sensor_settings
 from tactile.can.bus import CanBus, MissingBus
+from tactile.control_unit.object_dictionary import PRODUCT_CODE, VENDOR_ID
 from tactile.control_unit.search import (
     BusTraffic,
     FoundUnit,
@@ -34,7 +35,7 @@ from tactile.control_unit.search import (
     read_vendor,
     scan_nodes,
 )
-from tactile.control_unit.settings import ExpectedIdentity, LinkSettings, least_sync_period_s
+from tactile.control_unit.settings import LinkSettings, least_sync_period_s
 from tactile.control_unit.setup import identity_checks, refuse_mismatch
 from tactile.errors import BusNotOpened, TactileError
 from tactile.layout import LAYOUTS, TaxelLayout
@@ -249,7 +250,7 @@ def _bit_rate(
 
 def _node(bus: CanBus, heard: BusTraffic, dialog: Dialog, notes: Notes) -> int:
     """Return the node-ID of the control unit among the nodes on the bus."""
-    wanted = (ExpectedIdentity().vendor_id, ExpectedIdentity().product_code)
+    wanted = (VENDOR_ID, PRODUCT_CODE)
     units, others = [], []
     for node in sorted({*heard.nodes, *scan_nodes(bus).nodes}):
         try:
@@ -287,7 +288,7 @@ def _judge(unit: FoundUnit, bench: Bench, notes: Notes) -> TaxelLayout:
         f"{identity.boards[0]} and {identity.boards[1]}."
     )
     refuse_mismatch(
-        identity_checks(identity, ExpectedIdentity()),
+        identity_checks(identity),
         "Its EDS is not that of this software",
         "Update the unit's firmware, or this software.",
     )

@@ -16,7 +16,7 @@ from cell.config.section import MILLI, SIMULATED, Section, declared_values, sett
 from cell.config.sensor import SensorConfig, sensor_section
 from cell.errors import ConfigError, raised_as
 from cell.plugins import SENSORS
-from tactile.control_unit.settings import ExpectedIdentity, LinkSettings
+from tactile.control_unit.settings import LinkSettings
 from tactile.errors import CalibrationError, LayoutError
 from tactile.layout import LAYOUTS, Face, Pad, PadMount, TaxelLayout, taxel_order
 from tactile.sensor.calibration import (
@@ -261,7 +261,8 @@ def pad_mounts(config: TactileConfig) -> tuple[PadMount, ...]:
 def link_settings(config: TactileConfig) -> LinkSettings:
     """Return the settings of the link to the control unit in SI."""
     return LinkSettings(
-        identity=ExpectedIdentity(serial=config.serial_number, boards=config.board_serial_numbers),
+        serial=config.serial_number,
+        boards=config.board_serial_numbers,
         mounts=pad_mounts(config),
         **declared_values(config, LinkSettings),
     )

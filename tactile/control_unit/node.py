@@ -243,7 +243,7 @@ class TactileLink:
         self._source.start()
         self._command("RESET COMMUNICATION")
         self._wait_for(lambda: watch.boot_ups > 0, "did not boot")
-        identity = refuse_other_unit(objects, self.layout, self._node_id, settings.identity)
+        identity = refuse_other_unit(objects, self.layout, self._node_id, settings)
         table = self._force_table if self._answers_in_time() else None
         set_up(objects, settings)
         if table is not None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, fields
 from math import inf
 from typing import Any
 
-from tactile.control_unit import object_dictionary
 from tactile.frames.transport import MESSAGE_BYTES, FrameFormat
 from tactile.layout import PadMount, TaxelLayout
 from tactile.source import SourceIdentity
@@ -36,21 +35,6 @@ class NodeIdentity(SourceIdentity):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ExpectedIdentity:
-    """Identity of an accepted unit; None accepts any value.
-
-    The revision's upper 16 bits (the behaviour on the bus, CiA 301) must match, the lower need not.
-    """
-
-    vendor_id: int | None = object_dictionary.VENDOR_ID
-    product_code: int | None = object_dictionary.PRODUCT_CODE
-    revision: int | None = object_dictionary.REVISION
-    serial: int | None = None
-    boards: tuple[int, int] | None = None
-    """Serial numbers of the pads' boards on finger 0 and finger 1."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class LinkSettings:
     """Periods and limits of the link."""
 
@@ -66,8 +50,10 @@ class LinkSettings:
     """Largest share of lost frames."""
     max_foreign_hz: float = setting(2000.0, 0.0, 1e5)
     """Allowed rate of messages of other nodes or unknown COB-IDs in 1/s."""
-    identity: ExpectedIdentity = field(default_factory=ExpectedIdentity)
-    """The accepted unit."""
+    serial: int | None = None
+    """Serial number of the accepted unit; None accepts any."""
+    boards: tuple[int, int] | None = None
+    """Serial numbers of its pads' boards on finger 0 and finger 1; None accepts any."""
     force_period_s: float = setting(0.005, 0.0, 0.05)
     """Period of the force messages in s, a whole number of ms; 0: none, the force comes from
     frames. The default is that of a force loop at 200 Hz, which reads the newest one."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from tactile.can.sdo_client import PolledSdoClient
 from tactile.control_unit import object_dictionary as od
-from tactile.control_unit.settings import ExpectedIdentity, LinkSettings, NodeIdentity
+from tactile.control_unit.settings import LinkSettings, NodeIdentity
 from tactile.errors import IdentityMismatch
 from tactile.frames.transport import FrameFormat
 from tactile.layout import TaxelLayout
@@ -53,29 +53,33 @@ def read_identity(objects: PolledSdoClient) -> NodeIdentity:
     )
 
 
-def identity_checks(identity: NodeIdentity, expected: ExpectedIdentity) -> list[Check]:
-    """Return the comparison of the found identity with the expected one."""
-    major = None if expected.revision is None else expected.revision >> 16
+def identity_checks(
+    identity: NodeIdentity, serial: int | None = None, boards: tuple[int, int] | None = None
+) -> list[Check]:
+    """Return the comparison of the found identity with that of the EDS, and with given numbers.
+
+    The upper 16 bits of the revision are the behaviour on the bus (CiA 301), the lower may differ.
+    """
     return [
-        Check("vendor-ID", expected.vendor_id, identity.vendor_id),
-        Check("product code", expected.product_code, identity.product_code),
-        Check("major revision", major, identity.revision >> 16),
-        Check("serial number", expected.serial, identity.serial),
+        Check("vendor-ID", od.VENDOR_ID, identity.vendor_id),
+        Check("product code", od.PRODUCT_CODE, identity.product_code),
+        Check("major revision", od.REVISION >> 16, identity.revision >> 16),
+        Check("serial number", serial, identity.serial),
         *(
             Check(f"pads' board of finger {finger}", board, identity.boards[finger])
-            for finger, board in enumerate(expected.boards or (None, None))
+            for finger, board in enumerate(boards or ())
         ),
     ]
 
 
 def refuse_other_unit(
-    objects: PolledSdoClient, layout: TaxelLayout, node_id: int, expected: ExpectedIdentity
+    objects: PolledSdoClient, layout: TaxelLayout, node_id: int, settings: LinkSettings
 ) -> NodeIdentity:
     """Return the identity of the unit; IdentityMismatch if it is not the one of the config.
 
     SYNC is sent without a counter, so a unit with an overflow value answers by emergency 8240h.
     """
-    identity, boards = read_identity(objects), expected.boards
+    identity, boards = read_identity(objects), settings.boards
     if boards is not None and boards[0] != boards[1] and identity.boards == boards[::-1]:
         raise IdentityMismatch(
             f"the pads of the two fingers are exchanged at {objects.name}: the board of finger 0 "
@@ -84,7 +88,7 @@ def refuse_other_unit(
             "correct tactile.board_serial_numbers"
         )
     other = f"{objects.name} is not the configured unit"
-    refuse_mismatch(identity_checks(identity, expected), other)
+    refuse_mismatch(identity_checks(identity, settings.serial, boards), other)
     form = FrameFormat.of(layout)
     expected_numbers = {
         "Taxel layout.Number of taxels": layout.n_taxels,

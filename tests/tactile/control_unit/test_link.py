@@ -19,7 +19,6 @@ from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import TactileLink
 from tactile.control_unit.search import listen
 from tactile.control_unit.settings import (
-    ExpectedIdentity,
     LinkSettings,
     bus_load,
     least_sync_period_s,
@@ -231,9 +230,7 @@ def test_a_unit_that_differs_a_little_is_started(idle, change) -> None:
     ],
 )
 def test_another_unit_is_refused_with_expected_and_found(make_bench, entry, value, says) -> None:
-    bench = make_bench(
-        unit=ControlUnitSettings(serial_number=4711), identity=ExpectedIdentity(serial=4711)
-    )
+    bench = make_bench(unit=ControlUnitSettings(serial_number=4711), serial=4711)
     bench.unit.pretend(entry, value)
     with pytest.raises(IdentityMismatch, match=says):
         bench.link.start()
@@ -241,11 +238,11 @@ def test_another_unit_is_refused_with_expected_and_found(make_bench, entry, valu
 
 
 def test_exchanged_pads_are_refused_by_the_serial_numbers_of_their_boards(make_bench) -> None:
-    assert make_bench(identity=ExpectedIdentity(boards=(1, 2))).link.start().boards == (1, 2)
+    assert make_bench(boards=(1, 2)).link.start().boards == (1, 2)
     with pytest.raises(IdentityMismatch, match="pads of the two fingers are exchanged"):
-        make_bench(identity=ExpectedIdentity(boards=(2, 1))).link.start()
+        make_bench(boards=(2, 1)).link.start()
     with pytest.raises(IdentityMismatch, match=r"board of finger 1: expected 3 .* found 2"):
-        make_bench(identity=ExpectedIdentity(boards=(1, 3))).link.start()
+        make_bench(boards=(1, 3)).link.start()
 
 
 @pytest.mark.parametrize(
