@@ -1,6 +1,10 @@
-"""The examples of the Protocol 2.0 manual as whole conversations: bytes to a servo, bytes back."""
+"""The examples of the Protocol 2.0 manual as whole conversations: bytes to a servo, bytes back.
+
+`dxl2`, a client written by others, computes the instruction packets a second time.
+"""
 
 import pytest
+from dxl2 import v2 as dxl2
 
 from gripper.dynamixel.models import XM430_W210
 from simulator.servo.device import SimulatedServo
@@ -74,6 +78,15 @@ def test_the_manuals_example(values, request_, answer, changed) -> None:
     assert {(i, name): talk.registers[i].get(name) for i, name in changed} == changed
 
 
+@pytest.mark.parametrize(
+    "request_", [case[2] for case in DIALOGUES], ids=[case[0] for case in DIALOGUES]
+)
+def test_another_encoder_makes_the_same_bytes(request_) -> None:
+    raw = wire(PREFIX + request_)
+    made = dxl2.InstructionPacket(raw[4], raw[7], dxl2.Params(list(raw[8:-2])))
+    assert made.raw == raw
+
+
 def test_bytes_that_are_stuffed_both_ways() -> None:
     talk = Conversation({1: {"operating_mode": 5}})
     stuffed = "FFFFFD00 01 0A00 03 7400 FFFFFDFDFF 23E5"
@@ -83,5 +96,5 @@ def test_bytes_that_are_stuffed_both_ways() -> None:
     assert talk.exchange(wire("FFFFFD00 01 0900 03 7400 FFFFFDFF CB05")) == b""
     for name, value in (("current", -1), ("velocity", -3), ("position", 2048)):
         talk.registers[1].put(f"present_{name}", value)
-    answer = talk.exchange(wire("FFFFFD00 01 0700 02 7E00 0A00 36F9"))
+    answer = talk.exchange(dxl2.InstructionPacket(1, 0x02, dxl2.Params([126, 0, 10, 0])).raw)
     assert answer == wire("FFFFFD00 01 0F00 55 00 FFFFFDFDFFFFFF00080000 49F0")
