@@ -1,0 +1,88 @@
+"""An independent witness: tshark decodes the CAN traffic of a whole job as CANopen."""
+
+import shutil
+import subprocess
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from cell.learning.progress import silent
+from cell.runtime.main_job import teach_and_identify
+from cell.runtime.plugin import TactileCellPlugin
+from tests.cell.conftest import small_config
+
+TSHARK = shutil.which("tshark")
+MESSAGES_A_FRAME = 59
+
+
+pytestmark = pytest.mark.skipif(
+    TSHARK is None, reason="tshark is not installed (Debian package tshark)"
+)
+
+
+def decode(capture: Path, *arguments: str) -> list[str]:
+    """Return what tshark prints of a capture whose CAN messages it takes for CANopen."""
+    done = subprocess.run(
+        [str(TSHARK), "-r", str(capture), "-d", "can.subdissector,canopen", *arguments],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=100,
+    )
+    return done.stdout.splitlines()
+
+
+def logged(t_s: float, can_id: int, data: bytes) -> str:
+    """Return a message as a line of `candump -L`."""
+    return f"({t_s:.6f}) can0 {can_id:03X}#{data.hex().upper()}\n"
+
+
+@pytest.mark.long
+def test_a_captured_sequence_is_canopen_to_tshark(tmp_path: Path) -> None:
+    capture = tmp_path / "sequence.log"
+    config = small_config()
+    with capture.open("w") as log:
+        with TactileCellPlugin(config, start=False) as plugin:
+            bus = plugin.cell.simulated.can_bus
+            bus.capture.append(lambda *message: log.write(logged(*message)))
+            plugin.connect()
+            result = teach_and_identify(
+                plugin,
+                config,
+                labels=["ball", "box"],
+                n_teach=3,
+                n_trials=1,
+                folder=tmp_path,
+                progress=silent,
+            )
+            statistics = plugin.cell.controller.hand.statistics.source
+        bus._link.clear()  # what is on its way goes out
+    assert (result.n_taught, len(result.trials)) == (6, 2)
+    assert statistics.frames.lost == statistics.frames.torn == statistics.error_frames == 0
+
+    assert decode(capture, "-Y", "_ws.malformed") == []
+    assert decode(capture, "-Y", "_ws.expert.severity >= 6291456") == []  # warnings and errors
+    fields = ("canopen.cob_id", "canopen.nmt_guard.state", "canopen.nmt_ctrl.cd", "can.len")
+    columns = [f for name in fields for f in ("-e", name)]
+    rows = [row.split("\t") for row in decode(capture, "-T", "fields", *columns)]
+    kinds = Counter(int(cob_id, 16) for cob_id, *_ in rows)
+    assert set(kinds) == {0x000, 0x080, 0x285, 0x385, 0x585, 0x605, 0x705}
+    whole = statistics.frames.complete
+    assert kinds[0x080] == statistics.requests
+    assert kinds[0x385] in (MESSAGES_A_FRAME * whole, MESSAGES_A_FRAME * (whole + 1))
+    assert kinds[0x585] == kinds[0x605] > 10
+    commands = [int(command, 0) for _, _, command, _ in rows if command]
+    assert commands == [130, 1, 128]  # reset communication, start, pre-operational at the end
+    states = [int(state, 0) for _, state, _, _ in rows if state]
+    assert states[0] == 0
+    assert set(states[states.index(5) :]) == {5}
+    assert {length for cob_id, *_, length in rows if int(cob_id, 16) == 0x385} == {"8"}
+
+
+def test_tshark_would_notice_a_message_that_is_cut_short(tmp_path: Path) -> None:
+    capture = tmp_path / "short.log"
+    asked = logged(0.0, 0x605, bytes.fromhex("4018100100000000"))
+    capture.write_text(asked + logged(0.001, 0x585, bytes.fromhex("431810")))
+    assert len(decode(capture, "-Y", "_ws.malformed")) == 1
+    assert len(decode(capture, "-Y", "_ws.expert.severity >= 6291456")) == 1
