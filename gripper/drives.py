@@ -22,8 +22,8 @@ apart for the rest of it. [chosen]"""
 _FREE_S = 0.5
 """Longest time in s of each of these motions. [tuned]"""
 _LOW_CONTACTS, _HIGH_SHARE, _LEAST_SPAN_N = 2.5, 0.9, 2.0
-"""Least force of the measurement of a drive in contact forces, its largest one as a share of the
-force that was held, and the least difference in N of both. [chosen]"""
+"""Forces between which a drive is measured: the least in contact forces, the largest as a share of
+the held force, and the least difference of both in N. [chosen]"""
 _CURRENT_SHARE = 0.9
 """Largest share of the current limit in this measurement. [chosen]"""
 

@@ -412,9 +412,8 @@ class Gripper:
     def release(self, observer: Observer | None = None) -> ReleaseReport:
         """Let go: open to aperture_open_m. The only command that lets a part go.
 
-        It needs no start. If the torque is from an earlier program or lost, a servo that is silent
-        or kept without torque by an error is not changed, but reported: the other finger opens
-        alone. No finger closes, even if it is open wider. After a stop or fault the fingers stand
+        It needs no start. The torque may be from an earlier program, or lost. Then a servo that is
+        silent or in an error is reported and not changed: the other finger opens alone. No finger closes, even if it is open wider. After a stop or fault the fingers stand
         still; a note on the error names the opening.
 
         Raises
@@ -546,9 +545,9 @@ class Gripper:
     def close(self) -> None:
         """End the work with the servos; the bus stays open for its owner.
 
-        With nothing held the torque goes off. If a part may be held, torque and goals do not change
-        and the bus watchdog is disarmed, so that a trip does not end the grip: the servos hold
-        without supervision until a release. The watchdog stays armed if only it stops moving
+        With nothing held the torque goes off. If a part may be held, torque and goals do not
+        change: the servos hold without supervision until a release. The bus watchdog is disarmed,
+        so that a trip does not end the grip. The watchdog stays armed if only it stops moving
         fingers.
         """
         if self._life.phase is GripperPhase.OFF or self._life.motion_unconfirmed:

@@ -177,13 +177,13 @@ class GripperSettings:
     imbalance_n: ClassVar[float] = 2.0
     imbalance_share: ClassVar[float] = 0.5
     imbalance_s: ClassVar[float] = 0.2
-    """Largest difference of the fingers' forces in N, or as a share of the grip force if that is
-    more, and its longest time in s. [chosen]"""
+    """Largest difference of the fingers' forces, and its longest time in s. It is in N, or a share
+    of the grip force if that is more. [chosen]"""
     slip_drop_share: ClassVar[float] = 0.15
     slip_drop_n: float = setting(0.8, above=0.0, high=20.0)
     slip_travel_m: float = setting(0.0015, above=0.0, high=0.05)
-    """A drop of the held force as a share [chosen], or in N if that is more, or closing in m while
-    holding, that is reported as a slip."""
+    """Signs of a slip: a drop of the held force as a share [chosen], or in N if that is more; or
+    closing in m while holding."""
     slide_m: ClassVar[float] = 0.0015
     """Distance in m along the pads by which the centre of a held force may move; larger with more
     noise, smaller for a sudden motion: see `gripper.force.supervision.slip`. [chosen]"""

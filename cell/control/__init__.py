@@ -1,6 +1,6 @@
 """One cell at work: its states, grasps, sequences, decisions and records.
 
-For jobs and interfaces: `controller.CellController` (the commands), `states` (the one table of
-states), `plan` (poses and steps of a sequence), `identification` (grasp until sure),
-`positioner` (moves the object or the gripper to a pose).
+For jobs and interfaces: `controller.CellController` has the commands, `states` the one table of
+states. `plan` has the poses and steps of a sequence, `identification` grasps until sure, and
+`positioner` moves the object or the gripper to a pose.
 """

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 def own_address(config: ServeConfig) -> str:
     """Return the name or address of this machine for other machines; empty if none can connect.
 
-    If the cell listens at all addresses, it is the first of ``hosts``, else the address from which
-    this machine would send to a network of the allow-list. Nothing is sent.
+    If the cell listens at all addresses, it is the first of ``hosts``. Without hosts, it is the
+    address from which this machine would send to a network of the allow-list. Nothing is sent.
     """
     listen = ip_address(config.listen)
     if not listen.is_unspecified:

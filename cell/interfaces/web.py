@@ -281,8 +281,8 @@ class WebInterface(HttpServer):
     """The cell behind HTTP and WebSocket, below ``/api``: token, lease, live state, page.
 
     The docstrings of the methods are the OpenAPI description. TLS is on if a certificate is
-    configured. Raises OSError or ConfigError if it cannot listen at the configured address and
-    port, cannot read a file, or the file of the token is bad.
+    configured. Raises OSError or ConfigError if it cannot listen at the configured address, cannot
+    read a file, or the file of the token is bad.
     """
 
     def __init__(self, service: Service) -> None:

@@ -395,7 +395,7 @@ class XmlRpcInterface(HttpServer):
     """The cell behind XML-RPC.
 
     Raises OSError if it cannot listen at the configured address and port, or cannot read the file
-    of the secret, and ConfigError if the secret is too short.
+    of the secret. Raises ConfigError if the secret is too short.
     """
 
     def __init__(self, service: Service) -> None:

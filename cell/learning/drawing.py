@@ -1,8 +1,8 @@
 """Teaching from a drawing: the frames that it would give on the cell's pads, without a cell.
 
 `recognition.shape.foam` presses a rigid shape between two foam pads. The grasp is like that of the
-cell: the fingers close at the approach speed, meet the object with some impact, follow the force
-ramp with the stick and slip of a geared drive, and hold. Frames have the sensor's noise and are not
+cell: the fingers close at the approach speed and meet the object with some impact. They follow the
+force ramp with the stick and slip of a geared drive, and hold. Frames have the sensor's noise and are not
 tared, like those of the cell.
 """
 
@@ -78,7 +78,7 @@ def reaches_m(
     """Return the distance in m that a posed object reaches towards each pad, over the pads' grids.
 
     A tilt by the small angles ``aslant_rad`` (2,) adds the same distance towards one pad that it
-    removes towards the other, in proportion to x and y from the centre. Raises ValueError if the
+    removes towards the other. It grows with x and y from the centre. Raises ValueError if the
     object lies beside a pad.
     """
     both: list[NDArray[np.float64]] = []

@@ -135,8 +135,8 @@ class TaughtModel:
     def add(self, grasps: Sequence[Grasp]) -> None:
         """Add labelled grasps to the training set; `train` is to follow.
 
-        A drift that is likely by now is taken off them, so that all grasps of the training set are
-        as the sensors were when the first of them were taught.
+        A drift that is likely by now is taken off them. So all grasps of the training set are as
+        the sensors were when the first of them were taught.
         """
         if (grid := self.drift) is not None and grid.likely:
             drift = grid.drift

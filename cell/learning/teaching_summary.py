@@ -13,8 +13,8 @@ from recognition.statistics.calibration import blocked_folds
 _ENOUGH_GRASPS = 10
 """Least number of grasps of an object for sure names within a series."""
 _MISSED = "one in six"
-"""Share of single grasps of taught objects that are UNKNOWN, and of others that get a name, after
-two to eight similar objects were taught with three or four grasps
+"""Share of single grasps of taught objects that are UNKNOWN, and of others that get a name. Two to
+eight similar objects were taught with three or four grasps
 (docs/decisions/0006-parts-of-the-recognizer.md)."""
 _FOLDS = 2
 """Parts of the grasps that are left out in turn: the minimum, because each costs a training."""

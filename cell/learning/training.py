@@ -100,8 +100,8 @@ def calibrate_model(model: LoadedModel, grasps: Mapping[str, Sequence[Grasp]]) -
 def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> DriftFollowing:
     """Return a copy with the drift that the unnamed grasps of a shift show.
 
-    Raises ModelError if the model is of a kind that cannot be gauged, or was taught on other pads,
-    and CellError if there are too few grasps.
+    Raises ModelError if the model is of a kind that cannot be gauged, or was taught on other pads.
+    Raises CellError if there are too few grasps.
     """
     recognizer = gaugeable(model)
     if len(grasps) < MIN_UNNAMED_GRASPS:

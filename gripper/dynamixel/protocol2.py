@@ -1,8 +1,8 @@
 """DYNAMIXEL Protocol 2.0: the packet handler of the SDK, with its stuffing corrected.
 
 Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0". The SDK builds and finds the packets. Its own
-methods send a packet without its stuffing, lose a byte of a packet that is stuffed twice, and drop
-all bytes of a damaged packet, also those of a whole one behind it.
+methods send a packet without its stuffing, and lose a byte of a packet that is stuffed twice. With
+a damaged packet they also drop a whole one behind it.
 """
 
 from collections.abc import Sequence

@@ -180,8 +180,8 @@ def _opening_failed(path: str, error: Exception) -> str:
 class SdkPort:
     """Port of the SDK's packet handler on any `ByteStream`, with blocking reads and monotonic time.
 
-    The time-out of a packet is the time on the wire of request and answer, the return delay of
-    the servo and an allowance for adapter and operating system. Bytes that arrived while the
+    The time-out of a packet has three parts: time on the wire, return delay of the servo, and an
+    allowance for adapter and operating system. Bytes that arrived while the
     program was stopped are still read; if bytes arrive without a pause, reading ends one longest
     packet after that.
 

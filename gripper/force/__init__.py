@@ -5,7 +5,7 @@ fingers until the pads show a contact, `control` makes the force, `supervision` 
 part is there and holds still. `estimates` has the estimated state of a grip, `by_current` is a
 force sensor without pads, `timing` counts lateness and overruns.
 
-A constant names its source at its end. It is *tuned* in the simulated cell, with friction errors up
-to 20 %, *chosen* by the needs of a person or program, *assumed* without data, from the *resolution*
-of a register, from *statistics* of noise, or from the *vendor*. Derived constants have no source.
+A constant names its source at its end. *Tuned*: in the simulated cell, with friction errors up to
+20 %. *Chosen*: by the needs of a person or program. *Assumed*: without data. *Resolution*: of a
+register. *Statistics*: of noise. *Vendor*: a manual. Derived constants have no source.
 """

@@ -28,8 +28,8 @@ _HEALTH_EVERY = 4
 _LONGEST_STEP = 2.0
 """Longest step of control in periods: after a late period nothing catches up. [chosen]"""
 _LOWERING_S, _LONGEST_LOWERING = 0.1, 4.0
-"""Time in s in which the currents of too much force fall to 0, and the longest time in multiples of
-it until the force has followed. [chosen]"""
+"""Time in s in which the currents of too much force fall to 0. The force has followed after this
+multiple of it at the latest. [chosen]"""
 _FOLLOWS_SHARE, _UNSEEN_M = 0.95, 2 * GRAIN_M
 """Share of the force below which samples have followed fingers that opened, and way in m after
 which they must have. [chosen]"""

@@ -376,8 +376,8 @@ def lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) -> float:
 def running_lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) -> float:
     """Return the lead of the goal in rad of a servo that runs steadily with a current.
 
-    Mode 5 makes P/K counts of Goal Current for each pulse of error (e-Manual, Position PID Gain),
-    and its D gain takes a share for the speed. Both signs are those of the lead.
+    Mode 5 makes P/K counts of Goal Current for each pulse of error (e-Manual, Position PID Gain).
+    Its D gain takes a share for the speed. Both signs are those of the lead.
     """
     _, _, position_p_gain = model.position_gains
     counts = copysign(model.item_counts(abs(current_a)), current_a)

@@ -1,7 +1,7 @@
 """Shape and size of a grasped object, with probabilities, also of an object never taught.
 
-Foam, gain, spread and zero of the opening are common unknowns of the grasps of a cell, so their
-error does not average out over several grasps. Noise and pose are new in each grasp and do average
+Foam, gain, spread and zero of the opening are common unknowns of the grasps of a cell. Their error
+does not average out over several grasps. Noise and pose are new in each grasp and do average
 out. Objects of revolution have one thickness in all poses. A `flat` or `oval` may have several, for
 example a bar of 10 mm by 16 mm. Grasps are split at the widest gap between their thicknesses while
 two thicknesses explain them better than one.

@@ -1,7 +1,7 @@
 """Fit of one kind of shape to pressed pads: least squares through the foam, with known noise.
 
-The parameters are size and form, the pose in the plane of the pads, the depth at each level of the
-load, and uncertain values of foam, sensor and opening. All have a prior. The marginal likelihood
+The parameters of the object are size, form and pose in the plane of the pads. The others are the
+depth at each level of the load, and values of foam, sensor and opening. All have a prior. The marginal likelihood
 (Laplace's approximation) then compares kinds with different numbers of parameters.
 
 For the fusion of several grasps, a fit becomes `KindEvidence`. Position, turn, depths and the form

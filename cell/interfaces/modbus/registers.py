@@ -256,7 +256,7 @@ class ModbusInterface(ModbusServer):
     """The cell behind Modbus TCP; one connection at a time writes.
 
     Raises OSError if it cannot listen at the configured address and port, or cannot read the file
-    of the secret, and ConfigError if the secret is too short or too long.
+    of the secret. Raises ConfigError if the secret is too short or too long.
     """
 
     def __init__(self, service: Service) -> None:

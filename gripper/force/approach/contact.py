@@ -19,9 +19,8 @@ _EMPTY_SAMPLES = 20
 _TOUCH_SAMPLES = 8
 """Most newest samples whose mean is compared with it; older ones are of the empty pad. [tuned]"""
 _REST_S, _HARD_S, _REST_SETTLING_S = 0.08, 0.065, 0.01
-"""Longest rest of the fingers at the contact in s, so that the ramp begins at the force there, its
-least length after a hard touch, whose force must decay, and time in s before its samples count.
-[tuned]"""
+"""Rest of the fingers at the contact, so that the ramp begins at the force there. Its longest time
+in s, its least after a hard touch, and the time before its samples count. [tuned]"""
 
 
 class FirstTouch:

@@ -51,11 +51,11 @@ _LEAD_RAD = 0.04
 """Largest lead of a goal before its finger in rad: the least current is then at its limit.
 [resolution]"""
 _BLOCKED_S, _BACK_RAD = 0.05, 0.03
-"""Time in s for which a finger stands at the limit of its current before it counts as blocked, and
-travel in rad on its way back that excludes friction as the cause. [chosen]"""
+"""Time in s at the limit of its current after which a standing finger is blocked. Travel in rad on
+its way back that excludes friction as the cause. [chosen]"""
 _RISE_N, _RISE_SHARE = 1.0, 0.2
-"""Rise of the grip force in N, or as a share of the force at the start if that is more, that an
-opening cannot cause. [chosen]"""
+"""Rise of the grip force that an opening cannot cause: in N, or as a share of the first force if
+that is more. [chosen]"""
 _QUIET_N, _LONGEST_S = 0.15, 3 * FRAME_S
 """Noise in N of a mean force that is compared, and longest time in s of its samples: a rise that
 ends a release is shown by one more than usual. [tuned]"""
@@ -64,8 +64,8 @@ ends a release is shown by one more than usual. [tuned]"""
 class StandStill:
     """Step of control that watches empty fingers whose torque has just come on: none may move.
 
-    A servo with a wrong reported position runs to a goal made from it, or, where friction holds
-    the finger, drives with more current than its distance from that goal explains.
+    A servo with a wrong reported position runs to a goal made from it. Where friction holds the
+    finger, it drives with more current than its distance from that goal explains.
 
     Parameters
     ----------

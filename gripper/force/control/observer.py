@@ -5,12 +5,12 @@ and part, pushes back. With the drive u, the torque of the measured currents as 
 
     F' = k v,    m v' = u - d - F - phi sign(v),    d' = 0,    x' = v
 
-d is the force that the drive lacks. A Kalman filter with this model (Ohnishi, Shibata and Murakami
-1996, reaction force observer) uses the positions of the servos and the force samples of the pads,
-each with its own noise. A sample is compared with the force at the time of its measurement, so its
+d is the force that the drive lacks. A Kalman filter with this model is the observer (Ohnishi,
+Shibata and Murakami 1996, reaction force observer). It uses the positions of the servos and the
+force samples of the pads, each with its own noise. A sample is compared with the force at the time of its measurement, so its
 delay has no effect. Rare samples are the same with larger steps between them. A period may be
-longer than the swing of a stiff part, so the model is integrated by the trapezoidal rule, which is
-stable with any step.
+longer than the swing of a stiff part. So the trapezoidal rule integrates the model: it is stable
+with any step.
 
 Where friction locks the mass, v is 0 and nothing is learnt of d (Karnopp 1985, stick and slip).
 """

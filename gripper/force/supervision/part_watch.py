@@ -21,8 +21,8 @@ from gripper.values.recent import FRAME_S, LOOK_BACK_S, ONE_FRAME_S, RecentForce
 from gripper.values.state import GRAIN_M, STANDING_M_S, ServoFeedback
 
 _EMPTY_S = 5 * FRAME_S
-"""Time in s for which pads must be empty before a part may be lost, and for which loaded pads must
-contradict a position before an error: five frames."""
+"""Time in s of five frames: a part may be lost after empty pads of this time. After loaded pads of
+this time a position is contradicted."""
 _RUN_M_S, RUN_M = 0.008, 3 * GRAIN_M
 """Growth of the closing speed in m/s, and travel in m, above which nothing holds the fingers apart:
 three counts of the servos' velocity, three counts of an encoder. On a part fingers come to rest
@@ -47,8 +47,8 @@ _RUNAWAY_RESERVE, _RUNAWAY_N = 2.0, 1.0
 the load in N by a known stiffness above which the travel alone shows that the part is gone.
 [tuned]"""
 _BLIND_N, _BLIND_SHARE = 6.0, 0.05
-"""Growth of the force in N that the stiffness predicts for a travel, and the share of it below
-which the pads do not measure the load of the fingers. [tuned]"""
+"""Growth of the force in N that the stiffness predicts for a travel. Below this share of it the pads
+do not measure the load of the fingers. [tuned]"""
 STEADY_S = 0.3
 """Time in s of a hold until force and fingers rest, with any part. [tuned]"""
 _SINKS_S, _CREEP_M = 0.1, 0.0005
