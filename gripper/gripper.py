@@ -413,8 +413,9 @@ class Gripper:
         """Let go: open to aperture_open_m. The only command that lets a part go.
 
         It needs no start. The torque may be from an earlier program, or lost. Then a servo that is
-        silent or in an error is reported and not changed: the other finger opens alone. No finger closes, even if it is open wider. After a stop or fault the fingers stand
-        still; a note on the error names the opening.
+        silent or in an error is reported and not changed: the other finger opens alone. No finger
+        closes, even if it is open wider. After a stop or fault the fingers stand still; a note on
+        the error names the opening.
 
         Raises
         ------

@@ -2,8 +2,8 @@
 
 `recognition.shape.foam` presses a rigid shape between two foam pads. The grasp is like that of the
 cell: the fingers close at the approach speed and meet the object with some impact. They follow the
-force ramp with the stick and slip of a geared drive, and hold. Frames have the sensor's noise and are not
-tared, like those of the cell.
+force ramp with the stick and slip of a geared drive, and hold. Frames have the sensor's noise and
+are not tared, like those of the cell.
 """
 
 import math

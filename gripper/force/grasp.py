@@ -119,8 +119,6 @@ class GraspRun:
         self.forget()
         reached = self._closed()
         self._closed_is_proven = True
-        # Pads on each other yield little at first, and no count shows it.
-        reached.stiffness.least_n_m = self._settings.pad_stiffness_n_m
         if reached.event is ApproachEvent.OBSTRUCTED:
             raise _obstructed(reached)
         self._end.clear()

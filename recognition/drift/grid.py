@@ -2,8 +2,8 @@
 
 A self-zero gives the prior. A gauge multiplies the weights by the likelihood of its known object,
 likelihood by the placing of objects. A grasp of an unnamed object multiplies them by its likelihood
-under any taught object or a new one. This likelihood has a power, because grasps share errors. An answer is the sum
-over the grid.
+under any taught object or a new one. This likelihood has a power, because grasps share errors. An
+answer is the sum over the grid.
 """
 
 from collections.abc import Sequence

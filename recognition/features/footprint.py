@@ -278,11 +278,11 @@ def harmonic_features(footprints: Sequence[Footprint]) -> NDArray[np.float64]:
     """Return (n, F): logarithms of energy and strongest response of each circular harmonic.
 
     A circular harmonic is a bump under a Gaussian window, or a wave with a number of crests around
-    its centre. Source: Freeman and Adelson, "The design and use of steerable filters", 1991. Its response
-    at a place of the pad is the correlation with the pressure there. With fine taxels, strongest
-    response and energy do not change when the patch moves or turns. They do not need the centre of
-    the patch, which the rim of the pad may cut off. The filtered quantity is the root of the
-    density of load, with unit energy, so that a gain does not change the features.
+    its centre. Source: Freeman and Adelson, "The design and use of steerable filters", 1991. Its
+    response at a place of the pad is the correlation with the pressure there. With fine taxels,
+    strongest response and energy do not change when the patch moves or turns. They do not need the
+    centre of the patch, which the rim of the pad may cut off. The filtered quantity is the root of
+    the density of load, with unit energy, so that a gain does not change the features.
     """
     return np.concatenate([_harmonics_of(footprint) for footprint in footprints], axis=1)
 

@@ -1,8 +1,9 @@
 """Fit of one kind of shape to pressed pads: least squares through the foam, with known noise.
 
 The parameters of the object are size, form and pose in the plane of the pads. The others are the
-depth at each level of the load, and values of foam, sensor and opening. All have a prior. The marginal likelihood
-(Laplace's approximation) then compares kinds with different numbers of parameters.
+depth at each level of the load, and values of foam, sensor and opening. All have a prior. The
+marginal likelihood (Laplace's approximation) then compares kinds with different numbers of
+parameters.
 
 For the fusion of several grasps, a fit becomes `KindEvidence`. Position, turn, depths and the form
 beyond the thickness are integrated out, each with its prior. Two parts remain: the logarithm of the

@@ -616,8 +616,9 @@ def host_ends_by_an_error(_row: FaultRow) -> Observed:
 # -- Servos and part -------------------------------------------------------------------------------
 
 
-CAP_N = 5.0
-"""Cap of the force in N in the rows of something trapped: below the default, soon reached."""
+CAP_N = 4.4
+"""Cap of the force in N in the rows of something trapped. The law follows an object that grows, so
+the cap is close to the set-points."""
 _SEARCHED = range(20_000, 20_012)
 """Seeds of the configs that a row of the campaign grasps with."""
 _WITH_THE_PART = frozenset({GripperPhase.APPROACHING, GripperPhase.RAMPING})

@@ -33,16 +33,12 @@ class DriveGoals:
     contact
         Feedback at the contact; the fingers are not driven open beyond it by more than a pad's
         thickness.
-    touch_m
-        Opening in m at which both pads were first loaded: the fingers are not driven open beyond
-        it, however much force the pads report.
     """
 
-    def __init__(self, grip: Grip, contact: ServoFeedback, touch_m: float) -> None:
+    def __init__(self, grip: Grip, contact: ServoFeedback) -> None:
         self._grip = grip
         self._contact_rad = self._deepest_rad = contact.angles_rad
         self._least_rad = most_closed_rad(grip.settings, grip.linkage)
-        self._touch_m = touch_m
         self._stop_rad: tuple[float, ...] | None = None
 
     @property
@@ -58,7 +54,7 @@ class DriveGoals:
         self._limit(state, paths, friction_n)
         goals = []
         self._deepest_rad = tuple(map(min, self._deepest_rad, state.angles_rad))
-        if state.aperture_m < self._touch_m:
+        if state.aperture_m < grip.touch_m:
             self._stop_rad = None
         elif self._stop_rad is None:
             self._stop_rad = state.angles_rad

@@ -28,7 +28,7 @@ from statistics import fmean
 from gripper.dynamixel.drive import Drives
 from gripper.errors import LimitExceeded
 from gripper.force.control.observer import GripObserver
-from gripper.force.estimates.grip import STIFFEST_N_M, Grip, History
+from gripper.force.estimates.grip import Grip, History
 from gripper.force.loop import Moment
 from gripper.mechanics.impact import CURRENT_S, ImpactLimit, current_share, impact_limit
 from gripper.mechanics.kinematics import Transmission, driving_n
@@ -41,23 +41,21 @@ _ACTS_S = 0.001 + CURRENT_S
 """Time in s from the feedback of a period until its goals act: the write and the current.
 [assumed]"""
 _FORCE_S, _SPEED_S = 0.04, 0.012
-"""Time constants T_f and T_v in s: T_f is two frames, T_v four currents.
-[chosen]"""
+"""Time constants T_f and T_v in s: T_f is two frames. T_v is four currents, after which a sample
+also shows the effect of a push. [chosen]"""
 _RATE_S = 0.025
 """Time in s in which the rate of the plan reaches that of its ramp. [chosen]"""
 _LEAST_RATE_N_S = 5.0
 """Rate in N/s of the plan of a small change. [chosen]"""
 _INERTIA_N = 2.0
 """Largest force in N for the mass in a plan: a soft part makes the plan slower. [chosen]"""
-_RAMP_N, _HOLD_N, _FALL_N = 0.08, 0.15, 0.15
-"""Errors in N at which fingers at rest start: on a ramp, in a hold (half of the aim of 0.3 N), and
-what comes to it against the direction, through the whole friction. [chosen]"""
+_RAMP_N, _HOLD_N = 0.08, 0.15
+"""Errors in N at which fingers at rest start: on a ramp, and in a hold (half of the aim of 0.3 N).
+Against the direction, through the whole friction, the second one comes to it. [chosen]"""
 _NEAR_N = 0.03
 """Distance in N from its end at which a motion stops. [chosen]"""
 _BRAKE_SHARE = 0.5
 """Share of the friction by which the drive brakes beside the friction itself. [chosen]"""
-_SHOWS_S = 0.012
-"""Time in s after a push at which a sample shows its effect: four currents. [chosen]"""
 _STRONGER, _WEAKER = 1.15, 0.98
 """Factors on the assumed stiction after a push without, and with, effect. [chosen]"""
 _EFFECT_SHARE = 0.5
@@ -68,18 +66,15 @@ _BEYOND_N = 0.1
 """Push in N beyond the assumed friction at rest. [chosen]"""
 STIFFNESS_SD = 0.5
 """Standard deviation of a stiffness as a share of it: foam hardens. [chosen]"""
-_STIFFER = 4.0
-"""Largest change of a stiffness, as a factor: pads that show a force before they touch make a stiff
-part look soft. [chosen]"""
 _MOTION_M = 1.5 * GRAIN_M
 """Change of the opening in m that shows a motion: a count and a half. [resolution]"""
 _LEAST_OPENING_SHARE = 0.3
 """Least friction of opening fingers over that of closing ones. [chosen]"""
 _RELAXED_S = 1.0
 """Time in s of a hold by current after which the current falls to what the force needs. [chosen]"""
-_JUMP_N, _JUMP_SHARE, _JUMP_SDS = 0.8, 0.15, 4.0
-"""Sudden growth of the measured force that no drive makes: in N, as a share of the set-point, and
-in standard deviations. [chosen]"""
+_JUMP_N, _JUMP_SDS = 0.8, 4.0
+"""Sudden growth of the measured force that no drive makes: in N, and in standard deviations. As a
+share of the set-point it is that of a slip. [chosen]"""
 _JUMP_S, _CONTRADICTED_S = 0.75 * FRAME_S, 15 * FRAME_S
 """Times in s after which a jump, and a missing drive that is too large, are an error. [chosen]"""
 _MOST_MISSING_N, _MISSING_SDS = 3.0, 5.0
@@ -188,14 +183,23 @@ class Pushes:
         closing = sign > 0.0
         self._learn(observer, closing=closing)
         friction_n = frictions_n[0] if closing else frictions_n[1]
-        beyond_n = (self._drives.stiction - 1.0) * frictions_n[0] + _BEYOND_N
+        beyond_n = self._beyond_n(frictions_n[0])
         speed_m_s = beyond_n * moment.dt_s / observer.mass_kg
-        self.growth_n = observer.stiffness_n_m * speed_m_s * moment.dt_s
+        self.growth_n = self.step_n(observer, moment.dt_s, frictions_n[0])
         self._from_n, self._closing = observer.force_n, closing
-        self.effect_s = moment.now_s + _SHOWS_S
+        self.effect_s = moment.now_s + _SPEED_S
         # The current reaches the push at the end of the period only.
         observer.break_loose(sign * 0.5 * speed_m_s)
         return sign * (friction_n + beyond_n) / current_share(moment.dt_s)
+
+    def _beyond_n(self, friction_n: float) -> float:
+        return (self._drives.stiction - 1.0) * friction_n + _BEYOND_N
+
+    def step_n(self, observer: GripObserver, dt_s: float, friction_n: float) -> float:
+        """Return the change of the force in N by a push; a spring may yield to twice a drive."""
+        beyond_n = self._beyond_n(friction_n)
+        speed_m_s = beyond_n * dt_s / observer.mass_kg
+        return min(observer.stiffness_n_m * speed_m_s * dt_s, 2.0 * beyond_n)
 
     def _learn(self, observer: GripObserver, *, closing: bool) -> None:
         """Compare the growth of the force since the last push with the expected one."""
@@ -218,30 +222,22 @@ class ForceLaw:
         State of the grip, with its force at the start.
     now_s
         Monotonic time in s.
-    stiffness_n_m, stiffness_sd
-        Stiffness at one pad in N/m by the contact, and its standard deviation as a share of it.
     """
 
-    def __init__(
-        self, grip: Grip, now_s: float, *, stiffness_n_m: float, stiffness_sd: float
-    ) -> None:
+    def __init__(self, grip: Grip, now_s: float) -> None:
         self._grip = grip
-        self._stiffness = stiffness_n_m, stiffness_sd
         self._pushes = Pushes(grip.settings.drives)
         self.begin(now_s)
 
     def begin(self, now_s: float) -> None:
         """Begin at the present force, at a monotonic time in s."""
         grip = self._grip
-        self.observer = GripObserver(
-            grip, now_s, stiffness_n_m=self._stiffness[0], stiffness_sd=self._stiffness[1]
-        )
+        self.observer = GripObserver(grip, now_s)
         self.plan = ForcePlan(self.observer.force_n)
         self._drives_n, self._samples_n, self._balance_n = History(), History(), grip.balance_n
         self._setpoint_n, self._rates_n_s = grip.setpoint_n, deque([0.0], maxlen=3)
         self._started_m, self._most_m_s = grip.apertures.newest, 0.0
         self._falls, self._still_s = False, 0.0
-        self._estimated_n_m: float | None = None
         self._jumped_s: float | None = None
         self._contradicted_s = 0.0
 
@@ -292,16 +288,10 @@ class ForceLaw:
         self, period: Period, sample: ForceSample | None, drive_n: float
     ) -> tuple[float, float]:
         """Advance the observer, and return the friction in N of closing and opening fingers."""
-        observer, grip, moment = self.observer, self._grip, period.moment
+        observer, moment = self.observer, period.moment
         if moment.dt_s > 0.0:
             observer.predict(moment.dt_s, drive_n, self._frictions_n(period))
         observer.measure(moment, sample)
-        if (estimated_n_m := grip.stiffness.stiffness_n_m) not in (None, self._estimated_n_m):
-            # The opening shrinks by the yield of both pads.
-            before_n_m, self._estimated_n_m = observer.stiffness_n_m, estimated_n_m
-            softest_n_m, stiffest_n_m = before_n_m / _STIFFER, before_n_m * _STIFFER
-            observer.stiffness_n_m = min(max(2.0 * estimated_n_m, softest_n_m), stiffest_n_m)
-            observer.stiffness_sd = STIFFNESS_SD
         return self._frictions_n(period)
 
     def _frictions_n(self, period: Period) -> tuple[float, float]:
@@ -356,8 +346,11 @@ class ForceLaw:
         """Return the push in N on fingers at rest: 0, or one that starts them."""
         rate_n_s, sign = self.plan.rate_n_s, copysign(1.0, error_n)
         least_n = max(_HOLD_N if rate_n_s == 0.0 else _RAMP_N, self.observer.force_sd_n)
+        # A push that changes the force by more than twice the error makes the error larger.
+        step_n = self._pushes.step_n(self.observer, period.moment.dt_s, frictions_n[0])
+        least_n = max(least_n, 0.5 * step_n)
         if sign * rate_n_s < 0.0 or (sign < 0.0 and rate_n_s == 0.0):
-            least_n += _FALL_N
+            least_n += _HOLD_N
         may_start = sample.measured_s > self._pushes.effect_s and (sign > 0.0 or period.may_open)
         if abs(error_n) <= least_n or not may_start or period.moment.dt_s <= 0.0:
             return 0.0
@@ -399,7 +392,7 @@ class ForceLaw:
         if abs(period.state.aperture_m - self._started_m) > _MOTION_M:
             return True
         growth_n = self._pushes.growth_n
-        unseen_s = 2.0 * (period.moment.now_s - sample.measured_s) + _SHOWS_S
+        unseen_s = 2.0 * (period.moment.now_s - sample.measured_s) + _SPEED_S
         slow = abs(self.plan.rate_n_s) * unseen_s > growth_n
         return slow or short_n > 2.0 * growth_n + max(_RAMP_N, self.observer.force_sd_n)
 
@@ -414,7 +407,7 @@ class ForceLaw:
         # After a wrong prediction the force is unexplained too, but it has not grown.
         grown_n = sample.grip_n - self._samples_n.at(sample.t_s - LOOK_BACK_S)
         jump_n = min(observer.unexplained_n(sample), grown_n)
-        least_n = max(_JUMP_N, _JUMP_SHARE * setpoint_n)
+        least_n = max(_JUMP_N, self._grip.settings.slip_drop_share * setpoint_n)
         least_n += _JUMP_SDS * hypot(sample.noise_n, observer.force_sd_n)
         if jump_n <= least_n:
             self._jumped_s = None
@@ -422,14 +415,12 @@ class ForceLaw:
         # A spring that a drive meets at speed is pressed by up to twice the excess of the drive,
         # and by the momentum of the fingers.
         friction_n = min(path.drive.least_breakaway_a * path.n_per_a for path in period.paths)
-        drive_n = self._drives_n.most(since_s=sample.measured_s - FRAME_S - _SHOWS_S)
+        drive_n = self._drives_n.most(since_s=sample.measured_s - FRAME_S - _SPEED_S)
         speed_m_s = max(0.0, observer.speed_m_s, -0.5 * period.state.aperture_velocity_m_s)
         least_n += 2.0 * max(0.0, drive_n - observer.force_n - friction_n)
         least_n += _impact(self._grip, period).momentum_n_s_m * speed_m_s
         if jump_n <= least_n:
-            # The part is stiffer than its estimate: the samples have to show the force.
-            observer.stiffness_n_m = min(_STIFFER * observer.stiffness_n_m, 2.0 * STIFFEST_N_M)
-            observer.resume(jump_n)
+            observer.meets_stiffness(jump_n)
             self._jumped_s = None
             return False
         if self._jumped_s is None:

@@ -1,29 +1,35 @@
-"""Disturbance observer of fingers that press on a part: force, speed, missing drive, way.
+"""Disturbance observer of fingers on a part: force, speed, missing drive, way and stiffness.
 
 Motor and finger, seen at the pad, are a mass m. Coulomb friction phi brakes it, and a spring k, pad
 and part, pushes back. With the drive u, the torque of the measured currents as a force at the pad:
 
-    F' = k v,    m v' = u - d - F - phi sign(v),    d' = 0,    x' = v
+    F' = k v,    m v' = u - d - F - phi sign(v),    d' = 0,    x' = v,    (ln k)' = 0
 
-d is the force that the drive lacks. A Kalman filter with this model is the observer (Ohnishi,
-Shibata and Murakami 1996, reaction force observer). It uses the positions of the servos and the
-force samples of the pads, each with its own noise. A sample is compared with the force at the time of its measurement, so its
-delay has no effect. Rare samples are the same with larger steps between them. A period may be
-longer than the swing of a stiff part. So the trapezoidal rule integrates the model: it is stable
-with any step.
+d is the force that the drive lacks. An extended Kalman filter with this model is the observer
+(Ohnishi, Shibata and Murakami 1996, reaction force observer). It uses the positions of the servos
+and the force samples of the pads, each with its own noise. A sample is compared with the force at
+the time of its measurement, so its delay has no effect. Rare samples are the same with larger steps
+between them. A period may be longer than the swing of a stiff part. So the trapezoidal rule
+integrates the model: it is stable with any step.
+
+The stiffness is a part of the state, by its logarithm. Force and way show it together, although a
+count of the position is often more than a stiff part yields. The law needs it, because a wrong
+stiffness turns each count into a wrong force.
 
 Where friction locks the mass, v is 0 and nothing is learnt of d (Karnopp 1985, stick and slip).
 """
 
-from math import hypot, sqrt
+from math import exp, hypot, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gripper.force.estimates.grip import Grip, History
+from gripper.force.estimates.grip import STIFFEST_N_M, Grip, History
 from gripper.force.loop import Moment
 from gripper.mechanics.impact import impact_limit
 from gripper.servos.motion import position_sd_rad
 from gripper.values.force_sensor import ForceSample
+from gripper.values.state import GRAIN_M
 
 _START_SD_N, _MISSING_SD_N = 0.3, 0.2
 """Standard deviations in N of the force and of the missing drive at the start. [chosen]"""
@@ -34,9 +40,18 @@ _RIPPLE_M_S = 0.0004
 _MISSING_N_RS, _MISSING_N_RM = 1.0, 200.0
 """Random walk of the missing drive in N per root of a second, and the same for each m/s: friction
 changes with place and speed. [chosen]"""
-_MOVED_SDS = 3.0
-"""Deviation of a position, in standard deviations, that shows a motion of locked fingers.
-[statistics]"""
+_HARDENS_RM = 15.0
+"""Random walk of ln k per root of a m of way: foam doubles its stiffness in 1 to 2 mm. [assumed]"""
+_LEAST_LOG_SD, _MOST_LOG = 0.2, 1.0
+"""Least standard deviation of ln k, so that it follows another part of the foam; and its largest
+change by one measurement. [chosen]"""
+_LEAST_SHARE = 0.5
+"""Least stiffness as a share of the mean since the touch: foam hardens. [chosen]"""
+_SURE_SDS = 3.0
+"""Deviation, in standard deviations, of a position that shows a motion of locked fingers, and of a
+force that shows a part. [statistics]"""
+_WAY = np.array((0.0, 0.0, 0.0, 1.0, 0.0))
+"""Derivative of a measured way by the state."""
 
 
 class GripObserver:
@@ -48,16 +63,13 @@ class GripObserver:
         State of the grip; its force is that at the start.
     now_s
         Monotonic time in s.
-    stiffness_n_m, stiffness_sd
-        Stiffness at one pad in N/m, and its standard deviation as a share of it.
     """
 
-    def __init__(
-        self, grip: Grip, now_s: float, *, stiffness_n_m: float, stiffness_sd: float
-    ) -> None:
+    def __init__(self, grip: Grip, now_s: float) -> None:
         self.mass_kg = impact_limit(grip.settings, grip.linkage).mass_kg
         """Moving mass of a finger at the pad in kg."""
-        self.stiffness_n_m, self.stiffness_sd = stiffness_n_m, stiffness_sd
+        self.stiffness_n_m = grip.pad_n_m
+        """Stiffness of part and pad, at one pad, in N/m."""
         self.force_n = max(0.0, grip.force_n)
         """Grip force in N."""
         self.speed_m_s = 0.0
@@ -66,17 +78,25 @@ class GripObserver:
         self.missing_n = 0.0
         """Missing force of the drive in N."""
         self._way_m, self._start_m = 0.0, grip.apertures.newest
+        self._yielded_m = max(0.0, 0.5 * (grip.touch_m - self._start_m)) + GRAIN_M
         self._way_m2 = _way_sd_m(grip) ** 2
-        variances = (_START_SD_N**2, 0.0, _MISSING_SD_N**2, self._way_m2)
+        variances = (_START_SD_N**2, 0.0, _MISSING_SD_N**2, self._way_m2, grip.pad_sd**2)
         self._p = np.diag(variances)
-        self._forces = History()
+        self._forces, self._ways_m = History(), History()
         self._forces.add(now_s, self.force_n)
+        self._ways_m.add(now_s, 0.0)
         self._sample_s = now_s
 
     @property
     def force_sd_n(self) -> float:
         """Standard deviation of the force in N."""
         return sqrt(max(float(self._p[0, 0]), 0.0))
+
+    def meets_stiffness(self, change_n: float) -> None:
+        """Allow for a stiffer part, whose force has changed by N more than the model explains."""
+        self.resume(change_n)
+        self.stiffness_n_m *= exp(_MOST_LOG)
+        self._p[4, 4] += _MOST_LOG**2
 
     def resume(self, change_n: float = _START_SD_N) -> None:
         """Allow for a change of the force in N that the model does not have, as after a pause."""
@@ -122,13 +142,14 @@ class GripObserver:
         self.force_n = max(0.0, self.force_n + stiffness * way_m)
         self._way_m += way_m
         if before_m_s != 0.0 or self.speed_m_s != 0.0:
-            f, (share, gain_m_s_n) = np.eye(4), self._step(dt_s)
-            f[1] = -gain_m_s_n, share, -gain_m_s_n, 0.0
-            way = 0.5 * dt_s * np.array((-gain_m_s_n, 1.0 + share, -gain_m_s_n, 0.0))
+            f, (share, gain_m_s_n) = np.eye(5), self._step(dt_s)
+            f[1] = -gain_m_s_n, share, -gain_m_s_n, 0.0, 0.0
+            way = 0.5 * dt_s * np.array((-gain_m_s_n, 1.0 + share, -gain_m_s_n, 0.0, 0.0))
             f[0] += stiffness * way
+            f[0, 4] = stiffness * way_m
             f[3] += way
             self._p = f @ self._p @ f.T
-            self._p[0, 0] += (self.stiffness_sd * stiffness * way_m) ** 2
+            self._p[4, 4] += _HARDENS_RM**2 * abs(way_m)
             self._p[1, 1] += _RIPPLE_M_S**2
             self._p[2, 2] += (_MISSING_N_RS**2 + (_MISSING_N_RM * self.speed_m_s) ** 2) * dt_s
         if self.speed_m_s == 0.0:
@@ -139,31 +160,54 @@ class GripObserver:
         """Use the present position, and the newest sample where it is new."""
         error_m = 0.5 * (self._start_m - moment.state.aperture_m) - self._way_m
         locked = self.speed_m_s == 0.0
-        if locked and abs(error_m) > _MOVED_SDS * sqrt(self._p[3, 3] + self._way_m2):
+        if locked and abs(error_m) > _SURE_SDS * sqrt(self._p[3, 3] + self._way_m2):
             # The fingers have moved although friction should lock them.
-            moved = np.array((self.stiffness_n_m, 0.0, 0.0, 1.0))
+            moved = np.array((self.stiffness_n_m, 0.0, 0.0, 1.0, 0.0))
             self._p += np.outer(moved, moved) * error_m**2
-            self._p[0, 0] += (self.stiffness_sd * self.stiffness_n_m * error_m) ** 2
-        self._correct(3, error_m, self._way_m2)
+        before_m, f = self._way_m, np.eye(5)
+        self._correct(_WAY, error_m, self._way_m2)
+        # The force has followed the way by the stiffness, with its uncertainty.
+        f[0, 4] = self.stiffness_n_m * (self._way_m - before_m)
+        self._p = f @ self._p @ f.T
         self._forces.add(moment.now_s, self.force_n)
+        self._ways_m.add(moment.now_s, self._way_m)
         if sample is not None and sample.t_s > self._sample_s:
             self._sample_s, before_n = sample.t_s, self.force_n
-            self._correct(0, self.unexplained_n(sample), sample.noise_n**2)
+            # The force at that time is the present one without the way since then.
+            since_n = self.stiffness_n_m * (self._way_m - self._ways_m.at(sample.measured_s))
+            of = np.array((1.0, 0.0, 0.0, 0.0, -since_n))
+            touched = sample.grip_n > _SURE_SDS * sample.noise_n
+            self._correct(of, self.unexplained_n(sample), sample.noise_n**2, stiffness=touched)
             self._forces.shift(self.force_n - before_n)
 
     def unexplained_n(self, sample: ForceSample) -> float:
         """Return the excess in N of a sample over the force at the time of its measurement."""
         return sample.grip_n - self._forces.at(sample.measured_s)
 
-    def _correct(self, of: int, error: float, noise2: float) -> None:
-        """Correct the state by one of its measured entries."""
-        gains = self._p[:, of] / (self._p[of, of] + noise2)
-        force_n, speed_m_s, missing_n, way_m = (gains * error).tolist()
+    def _correct(
+        self, of: NDArray[np.float64], error: float, noise2: float, *, stiffness: bool = True
+    ) -> None:
+        """Correct the state by a measurement, whose derivatives by the state are ``of``.
+
+        Without ``stiffness`` this is a Schmidt-Kalman filter: the stiffness has its uncertainty,
+        and nothing is learnt of it.
+        """
+        p_of = self._p @ of
+        gains = p_of / (of @ p_of + noise2)
+        if not stiffness:
+            gains[4] = 0.0
+        force_n, speed_m_s, missing_n, way_m, log_k = (gains * error).tolist()
         self.force_n = max(0.0, self.force_n + force_n)
         self.speed_m_s += speed_m_s
         self.missing_n += missing_n
         self._way_m += way_m
-        self._p -= np.outer(gains, self._p[of])
+        stiffness_n_m = self.stiffness_n_m * exp(min(max(log_k, -_MOST_LOG), _MOST_LOG))
+        yielded_m = max(self._yielded_m + self._way_m, GRAIN_M)
+        least_n_m = max(1.0, _LEAST_SHARE * self.force_n / yielded_m)
+        self.stiffness_n_m = min(max(stiffness_n_m, least_n_m), 2.0 * STIFFEST_N_M)
+        left = np.eye(5) - np.outer(gains, of)
+        self._p = left @ self._p @ left.T + noise2 * np.outer(gains, gains)
+        self._p[4, 4] = max(self._p[4, 4], _LEAST_LOG_SD**2)
 
 
 def _way_sd_m(grip: Grip) -> float:

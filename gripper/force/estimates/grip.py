@@ -80,8 +80,6 @@ class StiffnessEstimate:
         self._pairs: deque[tuple[float, float]] = deque(maxlen=_MEAN_SAMPLES)
         self._anchor: tuple[float, float] | None = None
         self._sample_s: float | None = None
-        self.least_n_m = 0.0
-        """Least stiffness at one pad in N/m at the contact, where more is known of the part."""
         self.stiffness_n_m: float | None = None
         """Growth of the grip force for each m of closing; None before it was measured."""
 
@@ -123,6 +121,13 @@ class Grip:
     """Of the gripper."""
     stiffness: StiffnessEstimate
     """Stiffness of the part."""
+    pad_n_m: float
+    pad_sd: float
+    """Stiffness of pad and part at one pad at the contact in N/m, and its standard deviation as a
+    share of it."""
+    touch_m: float
+    """Opening in m at which both pads were first loaded: the fingers are not driven open beyond it,
+    however much force the pads report."""
     apertures: History
     """Opening of the last periods in m."""
     setpoint_n: float

@@ -47,8 +47,8 @@ _RUNAWAY_RESERVE, _RUNAWAY_N = 2.0, 1.0
 the load in N by a known stiffness above which the travel alone shows that the part is gone.
 [tuned]"""
 _BLIND_N, _BLIND_SHARE = 6.0, 0.05
-"""Growth of the force in N that the stiffness predicts for a travel. Below this share of it the pads
-do not measure the load of the fingers. [tuned]"""
+"""Growth of the force in N that the stiffness predicts for a travel. Below this share of it the
+pads do not measure the load of the fingers. [tuned]"""
 STEADY_S = 0.3
 """Time in s of a hold until force and fingers rest, with any part. [tuned]"""
 _SINKS_S, _CREEP_M = 0.1, 0.0005

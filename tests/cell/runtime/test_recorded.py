@@ -159,7 +159,7 @@ def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(taught, tmp
         return tasks.Tasks(controller, file).gauge(goal, told.append)
 
     gauged = gauge(DRIFT)
-    assert gauged.aperture_offset_m == pytest.approx(-1e-3, abs=1e-3)
+    assert -3e-3 < gauged.aperture_offset_m < -0.5e-3
     assert [one["grasps"] for one in told] == [*range(len(balls) + 1), len(balls)]
     reported = {"gain": gauged.gain, "opening_mm": 1e3 * gauged.aperture_offset_m}
     before = {"gain": pytest.approx(1.0), "opening_mm": pytest.approx(0.0, abs=1e-9)}

@@ -18,7 +18,11 @@ STATE = make_state(0.0, aperture_velocity_m_s=0.0)
 STATE = replace(STATE, servos=tuple(replace(one, velocity_rad_s=0.0) for one in STATE.servos))
 
 
-def make_grip(force_n: float = 1.0) -> Grip:
+STIFFNESS_N_M = 1e4
+"""Of pad and part at one pad."""
+
+
+def make_grip(force_n: float = 1.0, touch_m: float | None = None) -> Grip:
     settings = GripperSettings()
     apertures = History()
     apertures.add(0.0, STATE.aperture_m)
@@ -26,6 +30,9 @@ def make_grip(force_n: float = 1.0) -> Grip:
         settings=settings,
         linkage=LINKAGE,
         stiffness=StiffnessEstimate(settings),
+        pad_n_m=STIFFNESS_N_M,
+        pad_sd=0.5,
+        touch_m=touch_m or STATE.aperture_m + 2.0 * force_n / STIFFNESS_N_M,
         apertures=apertures,
         setpoint_n=force_n,
         planned_n=force_n,

@@ -77,12 +77,12 @@ def test_a_ramp_does_not_jump_where_the_gearing_sticks(drives, part, ramp, seed,
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factors", [(2.0, 0.7), LONG((0.5, 1.3))])
-def test_a_slow_ramp_of_servos_that_were_never_measured_stays_below_its_set_point(factors) -> None:
+def test_a_slow_ramp_of_servos_that_were_never_measured_keeps_the_aim_of_overshoot(factors) -> None:
     part = PARTS["steel ball, 200 N/mm"]
     rig = Rig(part, 0.2, servos=None, seed=501, rate_hz=200.0, factors=factors, current_max_a=1.2)
     quality = rig.grasp(8.0, 1.0)
     assert not quality.lost
-    assert quality.overshoot_n <= 0.3
+    assert quality.overshoot_n <= 0.1 * 8.0
 
 
 @pytest.mark.slow
