@@ -45,8 +45,9 @@ _HARDENS_RM = 15.0
 _LEAST_LOG_SD, _MOST_LOG = 0.2, 1.0
 """Least standard deviation of ln k, so that it follows another part of the foam; and its largest
 change by one measurement. [chosen]"""
-_LEAST_SHARE = 0.5
-"""Least stiffness as a share of the mean since the touch: foam hardens. [chosen]"""
+_MEAN_SHARE = 0.5
+"""Least ratio of the stiffness to its mean since the touch, and of this mean to it: the force on
+foam grows at most with the square of its depth. [assumed]"""
 _SURE_SDS = 3.0
 """Deviation, in standard deviations, of a position that shows a motion of locked fingers, and of a
 force that shows a part. [statistics]"""
@@ -203,8 +204,11 @@ class GripObserver:
         self._way_m += way_m
         stiffness_n_m = self.stiffness_n_m * exp(min(max(log_k, -_MOST_LOG), _MOST_LOG))
         yielded_m = max(self._yielded_m + self._way_m, GRAIN_M)
-        least_n_m = max(1.0, _LEAST_SHARE * self.force_n / yielded_m)
-        self.stiffness_n_m = min(max(stiffness_n_m, least_n_m), 2.0 * STIFFEST_N_M)
+        least_n_m = max(1.0, _MEAN_SHARE * self.force_n / yielded_m)
+        # The way may be shorter by the count of each end.
+        sure_m, force_n = yielded_m - 2.0 * GRAIN_M, self.force_n + _START_SD_N
+        most_n_m = force_n / _MEAN_SHARE / sure_m if sure_m > 0.0 else 2.0 * STIFFEST_N_M
+        self.stiffness_n_m = max(least_n_m, min(stiffness_n_m, most_n_m, 2.0 * STIFFEST_N_M))
         left = np.eye(5) - np.outer(gains, of)
         self._p = left @ self._p @ left.T + noise2 * np.outer(gains, gains)
         self._p[4, 4] = max(self._p[4, 4], _LEAST_LOG_SD**2)
