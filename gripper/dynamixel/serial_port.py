@@ -181,9 +181,8 @@ class SdkPort:
     """Port of the SDK's packet handler on any `ByteStream`, with blocking reads and monotonic time.
 
     The time-out of a packet has three parts: time on the wire, return delay of the servo, and an
-    allowance for adapter and operating system. Bytes that arrived while the
-    program was stopped are still read; if bytes arrive without a pause, reading ends one longest
-    packet after that.
+    allowance for adapter and operating system. Bytes that arrived while the program was stopped
+    are still read; if bytes arrive without a pause, reading ends one longest packet after that.
 
     Parameters
     ----------

@@ -183,23 +183,21 @@ class Pushes:
         closing = sign > 0.0
         self._learn(observer, closing=closing)
         friction_n = frictions_n[0] if closing else frictions_n[1]
-        beyond_n = self._beyond_n(frictions_n[0])
-        speed_m_s = beyond_n * moment.dt_s / observer.mass_kg
-        self.growth_n = self.step_n(observer, moment.dt_s, frictions_n[0])
+        beyond_n, speed_m_s, self.growth_n = self.effect(observer, moment.dt_s, frictions_n[0])
         self._from_n, self._closing = observer.force_n, closing
         self.effect_s = moment.now_s + _SPEED_S
         # The current reaches the push at the end of the period only.
         observer.break_loose(sign * 0.5 * speed_m_s)
         return sign * (friction_n + beyond_n) / current_share(moment.dt_s)
 
-    def _beyond_n(self, friction_n: float) -> float:
-        return (self._drives.stiction - 1.0) * friction_n + _BEYOND_N
+    def effect(self, observer: GripObserver, dt_s: float, friction_n: float) -> tuple[float, ...]:
+        """Return a push in N beyond the friction, the speed in m/s after it, and its step in N.
 
-    def step_n(self, observer: GripObserver, dt_s: float, friction_n: float) -> float:
-        """Return the change of the force in N by a push; a spring may yield to twice a drive."""
-        beyond_n = self._beyond_n(friction_n)
+        A spring yields to a sudden drive by the force of twice the drive at most.
+        """
+        beyond_n = (self._drives.stiction - 1.0) * friction_n + _BEYOND_N
         speed_m_s = beyond_n * dt_s / observer.mass_kg
-        return min(observer.stiffness_n_m * speed_m_s * dt_s, 2.0 * beyond_n)
+        return beyond_n, speed_m_s, min(observer.stiffness_n_m * speed_m_s * dt_s, 2.0 * beyond_n)
 
     def _learn(self, observer: GripObserver, *, closing: bool) -> None:
         """Compare the growth of the force since the last push with the expected one."""
@@ -345,10 +343,10 @@ class ForceLaw:
     ) -> float:
         """Return the push in N on fingers at rest: 0, or one that starts them."""
         rate_n_s, sign = self.plan.rate_n_s, copysign(1.0, error_n)
-        least_n = max(_HOLD_N if rate_n_s == 0.0 else _RAMP_N, self.observer.force_sd_n)
+        *_, step_n = self._pushes.effect(self.observer, period.moment.dt_s, frictions_n[0])
         # A push that changes the force by more than twice the error makes the error larger.
-        step_n = self._pushes.step_n(self.observer, period.moment.dt_s, frictions_n[0])
-        least_n = max(least_n, 0.5 * step_n)
+        least_n = _HOLD_N if rate_n_s == 0.0 else _RAMP_N
+        least_n = max(least_n, self.observer.force_sd_n, 0.5 * step_n)
         if sign * rate_n_s < 0.0 or (sign < 0.0 and rate_n_s == 0.0):
             least_n += _HOLD_N
         may_start = sample.measured_s > self._pushes.effect_s and (sign > 0.0 or period.may_open)

@@ -203,15 +203,22 @@ class GripObserver:
         self.missing_n += missing_n
         self._way_m += way_m
         stiffness_n_m = self.stiffness_n_m * exp(min(max(log_k, -_MOST_LOG), _MOST_LOG))
-        yielded_m = max(self._yielded_m + self._way_m, GRAIN_M)
-        least_n_m = max(1.0, _MEAN_SHARE * self.force_n / yielded_m)
-        # The way may be shorter by the count of each end.
-        sure_m, force_n = yielded_m - 2.0 * GRAIN_M, self.force_n + _START_SD_N
-        most_n_m = force_n / _MEAN_SHARE / sure_m if sure_m > 0.0 else 2.0 * STIFFEST_N_M
-        self.stiffness_n_m = max(least_n_m, min(stiffness_n_m, most_n_m, 2.0 * STIFFEST_N_M))
+        least_n_m, most_n_m = self._plausible_n_m()
+        self.stiffness_n_m = max(least_n_m, min(stiffness_n_m, most_n_m))
         left = np.eye(5) - np.outer(gains, of)
         self._p = left @ self._p @ left.T + noise2 * np.outer(gains, gains)
         self._p[4, 4] = max(self._p[4, 4], _LEAST_LOG_SD**2)
+
+    def _plausible_n_m(self) -> tuple[float, float]:
+        """Return the least and the largest plausible stiffness in N/m, by its mean since the touch.
+
+        The way may be shorter by the count of each end. A hard part then has no upper bound.
+        """
+        yielded_m = max(self._yielded_m + self._way_m, GRAIN_M)
+        sure_m, most_n_m = yielded_m - 2.0 * GRAIN_M, 2.0 * STIFFEST_N_M
+        if sure_m > 0.0:
+            most_n_m = min(most_n_m, (self.force_n + _START_SD_N) / _MEAN_SHARE / sure_m)
+        return max(1.0, _MEAN_SHARE * self.force_n / yielded_m), most_n_m
 
 
 def _way_sd_m(grip: Grip) -> float:
