@@ -20,12 +20,7 @@ from motion import errors, object_dictionary as od
 from motion.axes import POLL_S, Axis, AxisSettings, Watch
 from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, Status
 from tactile.can.receiver import PolledSource, of_another_kind
-from tactile.can.sdo_client import (
-    COB_SDO_REQUEST,
-    COB_SDO_RESPONSE,
-    PolledSdoClient,
-    SdoNotAnswered,
-)
+from tactile.can.sdo_client import PolledSdoClient, SdoNotAnswered
 from tactile.errors import LinkFault, NodeMissing, ObjectRefused
 
 _HOST_NODE = 127
@@ -183,7 +178,7 @@ class Cia402Drive(Axis):
         self._surplus = 0
         self._supervised = False
         self._target: int | None = None
-        bus.subscribe(COB_SDO_RESPONSE + node_id, self._client.on_response)
+        bus.subscribe(self._client.tx_cobid, self._client.on_response)
         bus.subscribe(od.COB_HEARTBEAT + node_id, self._on_heartbeat)
 
     # -- the interface of an axis ----------------------------------------------------------------
@@ -296,7 +291,7 @@ class Cia402Drive(Axis):
         self._target = None
         if self._nmt_state == _STOPPED:
             self._command("PRE-OPERATIONAL")  # else it receives no SDO
-        self._bus.send_message(COB_SDO_REQUEST + self._node_id, _QUICK_STOP_REQUEST)
+        self._bus.send_message(self._client.rx_cobid, _QUICK_STOP_REQUEST)
 
     def standing(self) -> bool:
         """Return whether the axis stands still after a stop."""

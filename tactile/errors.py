@@ -72,18 +72,6 @@ class NodeStateChanged(LinkFault):
 class NodeEmergency(LinkFault):
     """The control unit sent an emergency (EMCY) message."""
 
-    def __init__(self, code: int, register: int, text: str, source: str) -> None:
-        self.code = code
-        """CiA 301 emergency error code."""
-        self.register = register
-        """Error register, object 0x1001."""
-        self.text = text
-        """Meaning of the code."""
-        super().__init__(
-            f"{source} reports emergency 0x{code:04X} ({text}), error register 0x{register:02X}: "
-            "remove the cause, then start the link again"
-        )
-
 
 class BusOff(LinkFault):
     """The CAN controller is off the bus, or the interface does not work any more."""

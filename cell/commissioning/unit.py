@@ -310,10 +310,11 @@ def _judge(unit: FoundUnit, bench: Bench, notes: Notes) -> TaxelLayout:
 def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
     """Return the layout with the unit's taxels, and the value of tactile.layout for it."""
     for name, make in LAYOUTS.items():
-        if unit.matches(layout := make()):
+        if unit.layout_hash == (layout := make()).layout_hash:
             return layout, name
     given = bench.given.get("tactile.layout") or bench.tactile().model_dump(mode="json")["layout"]
-    if unit.matches(own := layout_from_config(bench.tactile(layout=given, mounting=[]))):
+    own = layout_from_config(bench.tactile(layout=given, mounting=[]))
+    if unit.layout_hash == own.layout_hash:
         return own, given
     shapes = ", ".join(f"{rows} x {columns}" for rows, columns in unit.pad_shapes)
     raise StepFailed(

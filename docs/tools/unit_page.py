@@ -14,13 +14,14 @@ import numpy as np
 from simulator import simulated_cell
 from simulator.can.messages import BurstFormat, force_bytes
 from tactile import open_sensor
+from tactile.can.sdo_client import COB_SDO_REQUEST, COB_SDO_RESPONSE
 from tactile.control_unit import object_dictionary as od
 from tactile.layout import paper_layout
 from tactile.source import ForceMessage, ForceStatus
 
 _NODE = 5
 """Node-ID of the simulated unit."""
-_REQUEST, _RESPONSE = od.COB_SDO_REQUEST + _NODE, od.COB_SDO_RESPONSE + _NODE
+_REQUEST, _RESPONSE = COB_SDO_REQUEST + _NODE, COB_SDO_RESPONSE + _NODE
 _FRAME, _FORCE = od.COB_TPDO3 + _NODE, od.COB_TPDO2 + _NODE
 _NMT = {1: "start", 130: "reset communication"}
 _STATES = {0: "boot-up", 5: "heartbeat: operational", 127: "heartbeat: pre-operational"}

@@ -16,6 +16,7 @@ import canopen
 import numpy as np
 from canopen.nmt import NMT_COMMANDS
 
+from tactile import errors
 from tactile.can.bus import MissingBus, bad_lines
 from tactile.can.receiver import interface_failed, message_source, of_another_kind
 from tactile.can.sdo_client import PolledSdoClient
@@ -30,15 +31,6 @@ from tactile.control_unit.setup import (
     set_up_forces,
 )
 from tactile.control_unit.watch import OPERATIONAL, ForceFlow, FrameFlow, NodeWatch
-from tactile.errors import (
-    BusOff,
-    DuplicateNode,
-    FrameTimeout,
-    LinkFault,
-    LinkStateError,
-    NodeMissing,
-    ReceiveLoopDead,
-)
 from tactile.frames.force_message import encode_zero
 from tactile.frames.transport import FrameAssembler, FrameFormat
 from tactile.layout import PadMount, TaxelLayout, taxel_order
@@ -152,7 +144,7 @@ class TactileLink:
         self._force_table = force_table if sums else None
         self._source = message_source(self._bus, self._clock)
         self._running = False
-        self.fault: LinkFault | None = None
+        self.fault: errors.LinkFault | None = None
         """The latched fault, None without one."""
         self._reset()
 
@@ -186,7 +178,7 @@ class TactileLink:
         for cob_id, handler in (
             (od.COB_TPDO1 + node_id, self._on_frame),
             (od.COB_EMCY + node_id, self._watch.on_emergency),
-            (od.COB_SDO_RESPONSE + node_id, self.objects.on_response),
+            (self.objects.tx_cobid, self.objects.on_response),
             (od.COB_HEARTBEAT + node_id, self._watch.on_heartbeat),
         ):
             self._network.subscribe(cob_id, handler)
@@ -219,8 +211,8 @@ class TactileLink:
         which clears a latched fault.
         """
         if self._running:
-            raise LinkStateError("the link runs already: stop it before starting again")
-        lost = isinstance(self.fault, BusOff | ReceiveLoopDead)
+            raise errors.LinkStateError("the link runs already: stop it before starting again")
+        lost = isinstance(self.fault, errors.BusOff | errors.ReceiveLoopDead)
         if self._reopen is not None and (lost or isinstance(self._bus, MissingBus)):
             self._bus = self._reopen()
             self._source = message_source(self._bus, self._clock)
@@ -253,7 +245,7 @@ class TactileLink:
             self._network.subscribe(frame_id, self._on_frame)
             self._network.subscribe(od.COB_TPDO2 + self._node_id, self._on_force)
         if watch.boot_ups > 1:
-            raise NodeMissing(
+            raise errors.NodeMissing(
                 f"{self._name} booted {watch.boot_ups} times while it was set up: its "
                 "supply is unstable, or two units have the same node-ID"
             )
@@ -276,7 +268,7 @@ class TactileLink:
             trip_s = self._clock.monotonic() - asked_s
             if self._force_table is None or not has_forces or trip_s <= limit_s:
                 return has_forces
-        raise FrameTimeout(
+        raise errors.FrameTimeout(
             f"{self._name} answers after {1e3 * trip_s:.0f} ms, allowed for its force messages are "
             f"{1e3 * limit_s:.0f} ms: a gateway or the latency timer of the CAN adapter delays "
             "them. Use a direct adapter, set its timer to 1 ms, then start the link again"
@@ -334,7 +326,7 @@ class TactileLink:
             self._next_sync_s = None
             try:
                 self._command("PRE-OPERATIONAL")
-            except LinkFault as fault:
+            except errors.LinkFault as fault:
                 # The command does not reach the unit; its frames end without SYNCs.
                 self.fault = self.fault or fault
         self._source.close()
@@ -344,10 +336,10 @@ class TactileLink:
         if self.fault is not None:
             raise self.fault
         if not self._running:
-            raise LinkStateError("the link is not running: start it first")
+            raise errors.LinkStateError("the link is not running: start it first")
         try:
             return action()
-        except LinkFault as fault:
+        except errors.LinkFault as fault:
             self.fault = fault
             self._next_sync_s = None
             raise
@@ -381,7 +373,7 @@ class TactileLink:
         if self._next_sync_s is None:
             surplus = self.objects.surplus
             if surplus >= _SURPLUS_ANSWERS:
-                raise DuplicateNode(
+                raise errors.DuplicateNode(
                     f"{surplus} SDO answers more came from {self._name} than were asked for: a "
                     "second unit has the same node-ID, or another program talks to the unit; "
                     "leave one of them on the bus, then start the link again"
@@ -402,7 +394,7 @@ class TactileLink:
             if left_s <= 0.0:
                 heard = ", ".join(str(node) for node in sorted(self._network.scanner.nodes))
                 nodes = f"node-IDs heard: {heard}" if heard else "no node is heard on this bus"
-                raise NodeMissing(
+                raise errors.NodeMissing(
                     f"{self._name} {failure} within {timeout_s:g} s; {nodes}. Check the unit's "
                     "supply, node-ID, bit rate, CAN cable and termination"
                 )

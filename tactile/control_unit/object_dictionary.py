@@ -18,8 +18,6 @@ COB_EMCY = 0x080
 COB_TPDO1 = 0x180
 COB_TPDO2 = 0x280
 COB_TPDO3 = 0x380
-COB_SDO_RESPONSE = 0x580
-COB_SDO_REQUEST = 0x600
 COB_HEARTBEAT = 0x700
 """Identifiers of the pre-defined connection set (CiA 301, 7.3.5). Except for NMT and SYNC, add the
 node-ID."""

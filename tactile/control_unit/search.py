@@ -12,14 +12,14 @@ import can
 from canopen.network import NodeScanner
 
 from tactile.can.receiver import message_source, of_another_kind
-from tactile.can.sdo_client import PolledSdoClient
+from tactile.can.sdo_client import COB_SDO_REQUEST, COB_SDO_RESPONSE, PolledSdoClient
 from tactile.clock import Clock
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import TactileLink
 from tactile.control_unit.settings import NodeIdentity
 from tactile.control_unit.setup import read_identity
 from tactile.errors import BusOff, NodeMissing
-from tactile.layout import TaxelLayout, paper_layout
+from tactile.layout import paper_layout
 
 _NODES = range(1, 128)
 """Node-IDs that there are (CiA 301, 7.1.1)."""
@@ -55,8 +55,7 @@ def scan_nodes(bus: can.BusABC) -> BusTraffic:
     At a wrong bit rate no node acknowledges. An adapter that then refuses to send means: no nodes.
     """
     requests = (
-        can.Message(0.0, od.COB_SDO_REQUEST + node, False, data=_READ_DEVICE_TYPE)
-        for node in _NODES
+        can.Message(0.0, COB_SDO_REQUEST + node, False, data=_READ_DEVICE_TYPE) for node in _NODES
     )
     steps = [*((request, _GAP_S) for request in requests), (None, _ANSWER_S)]
     return _traffic(bus, steps, suppress(can.CanError, OSError, BusOff))
@@ -85,7 +84,7 @@ def _traffic(
                     messages += not message.is_error_frame
                     errors += message.is_error_frame
                     # Other devices may have the lower identifiers, of PDOs and emergencies.
-                    node = message.arbitration_id >= od.COB_SDO_RESPONSE
+                    node = message.arbitration_id >= COB_SDO_RESPONSE
                     if node and not (message.is_error_frame or of_another_kind(message)):
                         scanner.on_message_received(message.arbitration_id)
                 if (left_s := end_s - clock.monotonic()) <= 0.0:
@@ -113,10 +112,6 @@ class FoundUnit:
     """Whether it has force messages."""
     registers: tuple[tuple[str, int], ...]
     """What a start of the link will write over: name and present value."""
-
-    def matches(self, layout: TaxelLayout) -> bool:
-        """Return whether it has the taxels of a layout."""
-        return self.layout_hash == layout.layout_hash
 
 
 _WRITTEN = {

@@ -10,19 +10,9 @@ from math import ceil, inf
 from canopen.emcy import EMCY_STRUCT, EmcyError
 from canopen.nmt import COMMAND_TO_STATE, NMT_COMMANDS, NMT_STATES
 
+from tactile import errors
 from tactile.can.bus import ACTIVE, CLASS_CONTROLLER, PASSIVE
 from tactile.control_unit.settings import LinkSettings
-from tactile.errors import (
-    BusDisturbed,
-    BusErrorPassive,
-    BusOff,
-    DuplicateNode,
-    FrameTimeout,
-    HeartbeatLost,
-    NodeEmergency,
-    NodeRebooted,
-    NodeStateChanged,
-)
 from tactile.frames.force_message import ForceStream
 from tactile.source import ForceMessage
 
@@ -132,7 +122,7 @@ class TrafficLimit:
         self._level += n
         self._n += n
         if self._level > self._burst:
-            raise BusDisturbed(
+            raise errors.BusDisturbed(
                 f"{self._n} {self._what} came within {1e3 * (t_s - self._since_s):.0f} ms, "
                 f"allowed are {self._rate_hz:g} a second: {self._advice}, then start the link again"
             )
@@ -192,13 +182,13 @@ class NodeWatch:
         if self.state == BOOT_UP:
             self.boot_ups += 1
             if self._in_operation:
-                raise NodeRebooted(
+                raise errors.NodeRebooted(
                     f"{self._name} sent a boot-up message while in operation: it restarted, or a "
                     "second unit has the same node-ID; its set-up is gone, check its supply, then "
                     "start the link and tare again"
                 )
         elif self._in_operation and self.state != OPERATIONAL:
-            raise NodeStateChanged(
+            raise errors.NodeStateChanged(
                 f"{self._name} is {NMT_STATES[state].lower()}, expected operational: check for "
                 "another NMT master and an error of the unit (1029h), then start the link again"
             )
@@ -216,13 +206,16 @@ class NodeWatch:
             text = emergency_text(code)
             if len(data) < EMCY_STRUCT.size:
                 text += f"; only {len(data)} of {EMCY_STRUCT.size} bytes arrived"
-            raise NodeEmergency(code, register, text, self._name)
+            raise errors.NodeEmergency(
+                f"{self._name} reports emergency 0x{code:04X} ({text}), error register "
+                f"0x{register:02X}: remove the cause, then start the link again"
+            )
 
     def on_error_frame(self, classes: int, data: bytes | bytearray, t_s: float) -> None:
         """Process an error frame of the host's own CAN controller."""
         self.error_frames += 1
         if classes & _CLASS_BUS_OFF:
-            raise BusOff(
+            raise errors.BusOff(
                 "the CAN controller of the host is bus-off: check wiring, termination and bit "
                 "rate, restart the interface, then start the link again"
             )
@@ -237,7 +230,7 @@ class NodeWatch:
         self._unusable_limit.reach(unusable, now_s)
         passive_since_s = self._passive_since_s
         if passive_since_s is not None and now_s - passive_since_s >= _PASSIVE_S:
-            raise BusErrorPassive(
+            raise errors.BusErrorPassive(
                 f"the CAN controller of the host has been error-passive for "
                 f"{now_s - passive_since_s:.2f} s, allowed are {_PASSIVE_S:g} s: check "
                 "wiring, termination and bit rate, then start the link again"
@@ -246,7 +239,7 @@ class NodeWatch:
             return
         silent_s = now_s - self._heartbeat_at_s
         if silent_s > self._silence_s:
-            raise HeartbeatLost(
+            raise errors.HeartbeatLost(
                 f"no heartbeat from {self._name} for {silent_s:.3f} s, allowed are "
                 f"{self._silence_s:g} s: check its supply and its CAN cable, then start the link "
                 "again"
@@ -298,19 +291,19 @@ class FrameFlow:
         self._surplus = max(surplus, -_DEFICIT_LIMIT - _SURPLUS_SHARE * late)
         out = self._unanswered >= self._timeout_periods
         if self._surplus > (_SURPLUS_SUSPECT if out else _SURPLUS_LIMIT):
-            raise DuplicateNode(
+            raise errors.DuplicateNode(
                 f"{n} frame messages came after one SYNC, {self._name} sends "
                 f"{self._burst_messages}: a second unit has the same node-ID, or the adapter "
                 "doubles messages; leave one unit on the bus, then start the link again"
             )
         if out:
-            raise FrameTimeout(
+            raise errors.FrameTimeout(
                 f"no whole frame from {self._name} after {self._unanswered} SYNCs: check bus "
                 "load, cable and the unit's mode, then start the link again"
             )
         self._late_syncs = self._late_syncs + 1 if self._lags and late >= self._late_periods else 0
         if self._late_syncs >= _LATE_SYNCS:
-            raise FrameTimeout(
+            raise errors.FrameTimeout(
                 f"the frames of {self._name} come {late} periods later than before, allowed are "
                 f"{self._late_periods - 1}: the adapter or the host delays messages, or SYNCs do "
                 "not reach the unit; check both, then start the link again"
@@ -327,7 +320,7 @@ class FrameFlow:
         self._ahead -= 1 + missing
         lost_frames = self._arrived.count(False)
         if lost_frames > self._max_loss_rate * _LOSS_FRAMES:
-            raise FrameTimeout(
+            raise errors.FrameTimeout(
                 f"{lost_frames} of the last {_LOSS_FRAMES} frames from {self._name} were "
                 f"lost, allowed are {self._max_loss_rate:.0%}: check bus load, cable and "
                 "termination, then start the link again"
@@ -374,9 +367,9 @@ class ForceFlow(ForceStream):
         self._late.reach(self.counts.late, t_s)
         return message
 
-    def too_late(self, late_s: float) -> FrameTimeout:
+    def too_late(self, late_s: float) -> errors.FrameTimeout:
         """Return the error of force messages that are late by a time in s."""
-        return FrameTimeout(
+        return errors.FrameTimeout(
             f"the force messages of {self._name} come {1e3 * late_s:.0f} ms late, allowed are "
             f"{1e3 * self._settings.force_late_s:.0f} ms: the unit sends them later or more "
             "seldom than it was set to, or many were lost at once; check its firmware and the bus "
@@ -391,7 +384,7 @@ class ForceFlow(ForceStream):
             raise self.too_late(self.behind_s)
         silent_s, limit_s = now_s - self._last_s, self._settings.force_timeout_s
         if silent_s > limit_s:
-            raise FrameTimeout(
+            raise errors.FrameTimeout(
                 f"no force message from {self._name} for {1e3 * silent_s:.0f} ms, allowed are "
                 f"{1e3 * limit_s:.0f} ms: check that the control unit has power, its cable and the "
                 "bus load, then start the link again"

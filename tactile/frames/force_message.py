@@ -44,28 +44,17 @@ _NO_CENTRE = -128
 """Centre without a touch."""
 _BODY = struct.Struct("<Bhhbb")
 _STATUS_SHIFT = 4
-_CRC8_POLYNOMIAL, _CRC8_START, _CRC8_END = 0x1D, 0xFF, 0xFF
+_CRC8_POLYNOMIAL, _CRC8_START, _CRC8_END = 0x11D, 0xFF, 0xFF
 """CRC-8 of SAE J1850 (AUTOSAR, Specification of CRC Routines, 7.2.1.1)."""
-
-
-def _crc8_table() -> bytes:
-    table = bytearray()
-    for byte in range(256):
-        crc = byte
-        for _ in range(8):
-            crc = crc << 1 ^ (_CRC8_POLYNOMIAL if crc & 0x80 else 0)
-        table.append(crc & 0xFF)
-    return bytes(table)
-
-
-_CRC8_TABLE = _crc8_table()
 
 
 def crc8(data: bytes | bytearray) -> int:
     """Return the CRC-8 of SAE J1850."""
     crc = _CRC8_START
     for byte in data:
-        crc = _CRC8_TABLE[crc ^ byte]
+        crc ^= byte
+        for _ in range(8):
+            crc = crc << 1 ^ (_CRC8_POLYNOMIAL if crc & 0x80 else 0)
     return crc ^ _CRC8_END
 
 

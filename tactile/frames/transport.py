@@ -71,14 +71,9 @@ class FrameFormat:
         return 1 if content <= _SHORT_INDEX_LIMIT * (MESSAGE_BYTES - 1) else 2
 
     @property
-    def data_bytes(self) -> int:
-        """Bytes of data in each message: 7 or 6."""
-        return MESSAGE_BYTES - self.header_bytes
-
-    @property
     def n_messages(self) -> int:
         """Messages of one frame."""
-        return -(-(self.samples_bytes + _TRAILER.size) // self.data_bytes)
+        return -(-(self.samples_bytes + _TRAILER.size) // (MESSAGE_BYTES - self.header_bytes))
 
 
 def crc16_ccitt(data: bytes) -> int:

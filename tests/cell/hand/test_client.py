@@ -54,7 +54,7 @@ from gripper.force.timing import Distribution, LoopStatistics
 from gripper.values.force_sensor import ForceSample
 from gripper.values.servo_checks import VerificationReport, VerificationRow
 from gripper.values.state import GripperPhase
-from tactile.errors import HeartbeatLost, LinkFault, NodeEmergency
+from tactile.errors import HeartbeatLost, LinkFault
 from tactile.source import FrameStatistics, TactileFrame
 from tests.values import make_cycle, make_source_statistics, raising
 
@@ -437,7 +437,6 @@ ERRORS = [
         ),
         ["servo 1 x: expected 1, found 2"],
     ),
-    NodeEmergency(0x8130, 0x11, "heartbeat lost", "unit 5"),
     GraspStopped("stopped on request"),
     CellStopped("stopped"),
     FileNotFoundError(2, "No such file", "/dev/nothing"),
