@@ -82,10 +82,10 @@ class CanLink:
         self._devices.append(device)
         return lambda: self._devices.remove(device)
 
-    def send(self, can_id: int, data: bytes, now_s: float, *, extended: bool = False) -> None:
+    def send(self, can_id: int, data: bytes, now_s: float) -> None:
         """Send a message of the host; it reaches the devices before this returns."""
-        self._wire.put(Burst(now_s, can_id, (data,), extended=extended, from_host=True))
-        if not extended and not self.faults.bus_off:
+        self._wire.put(Burst(now_s, can_id, (data,), from_host=True))
+        if not self.faults.bus_off:
             for device in tuple(self._devices):
                 device.receive(can_id, data, now_s)
 

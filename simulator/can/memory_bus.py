@@ -24,13 +24,8 @@ class InMemoryCanBus(can.BusABC):
     """
 
     def __init__(
-        self,
-        link: CanLink,
-        clock: VirtualClock,
-        *,
-        host_bitrate: int | None = None,
+        self, link: CanLink, clock: VirtualClock, *, host_bitrate: int | None = None
     ) -> None:
-        self.channel_info = f"simulated CAN bus at {link.bitrate} bit/s"
         self._deaf = host_bitrate not in (None, link.bitrate)
         self._link = link
         self.capture = self._link.capture
@@ -56,12 +51,8 @@ class InMemoryCanBus(can.BusABC):
             return
         if msg.is_remote_frame or msg.is_error_frame or msg.is_fd:
             raise can.CanOperationError("the simulated bus carries classic data frames only")
-        self._link.send(
-            msg.arbitration_id,
-            bytes(msg.data),
-            self.clock.monotonic(),
-            extended=msg.is_extended_id,
-        )
+        if not msg.is_extended_id:  # no device here takes identifiers of 29 bits
+            self._link.send(msg.arbitration_id, bytes(msg.data), self.clock.monotonic())
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Return the next message, or None when none comes within ``timeout`` s.

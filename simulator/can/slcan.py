@@ -112,12 +112,12 @@ class SlcanAdapter:
         data = bytes.fromhex(match[3])
         if len(data) != (0 if remote else int(match[2])):
             return _REFUSED
-        if not remote and self._chosen == self._link.bitrate:
-            self._link.send(int(match[1], 16), data, now_s, extended=extended)
+        # No device here takes identifiers of 29 bits.
+        if not (remote or extended) and self._chosen == self._link.bitrate:
+            self._link.send(int(match[1], 16), data, now_s)
         return b"Z\r" if extended else b"z\r"
 
 
 def _text(message: can.Message) -> bytes:
-    head = b"T%08X%d" if message.is_extended_id else b"t%03X%d"
     content = message.data.hex().upper().encode("ascii")
-    return head % (message.arbitration_id, message.dlc) + content + b"\r"
+    return b"t%03X%d" % (message.arbitration_id, message.dlc) + content + b"\r"

@@ -11,8 +11,6 @@ _STUFFABLE_BITS = 34
 """Start of frame, identifier, control field and CRC of an 11-bit data frame, in bits."""
 _FIXED_BITS = 13
 """Delimiters, acknowledge, end of frame and interframe space, in bits."""
-_EXTENDED_BITS = 20
-"""Additional bits of a 29-bit identifier: 18 of the identifier, SRR and r1."""
 _STUFF_PER_BIT = 2.8 / (_STUFFABLE_BITS + 64)
 """Stuff bits per bit of random content: 2.8 in a message of 8 bytes (mean of the exact count)."""
 _STUFF_PER_QUIET_BYTE = 9.1 / 7
@@ -48,8 +46,6 @@ class Burst(NamedTuple):
     can_id: int
     messages: Sequence[bytes]
     """Identifier, and content of each (of one length)."""
-    extended: bool = False
-    """Whether the identifier has 29 bits."""
     from_host: bool = False
     """Whether they go before all others."""
 
@@ -59,9 +55,9 @@ class _Queued:
 
     def __init__(self, burst: Burst, bit_s: float) -> None:
         self.burst = burst
-        more, bits = _EXTENDED_BITS if burst.extended else 0, _MEAN_BITS[len(burst.messages[0])]
+        bits = _MEAN_BITS[len(burst.messages[0])]
         self.lengths_s = [
-            (bits[data.count(0x00) + data.count(0xFF)] + more) * bit_s for data in burst.messages
+            bits[data.count(0x00) + data.count(0xFF)] * bit_s for data in burst.messages
         ]
         self.sent = 0
 
@@ -77,17 +73,15 @@ class CanWire:
     def __init__(self, bitrate: int) -> None:
         self.bitrate = bitrate
         self._busy_until_s = -math.inf
-        self._queues: dict[float, deque[_Queued]] = {}
+        self._queues: dict[int, deque[_Queued]] = {}
         self.n_waiting = 0
         """Number of messages that wait."""
-        self._key, self._ends_s = 0.0, list[float]()
+        self._key, self._ends_s = 0, list[float]()
         """Queue whose messages go next, and the end in s of each; empty until worked out."""
 
     def put(self, burst: Burst) -> None:
         """Let messages wait from their ``ready_s`` on."""
-        # A 29 bit identifier loses against 11 equal bits (ISO 11898-1, arbitration).
-        key = (burst.can_id >> 18) + 0.5 if burst.extended else float(burst.can_id)
-        queue = self._queues.setdefault(-1.0 if burst.from_host else key, deque())
+        queue = self._queues.setdefault(-1 if burst.from_host else burst.can_id, deque())
         queue.append(_Queued(burst, 1.0 / self.bitrate))
         self.n_waiting += len(burst.messages)
         self._ends_s = []
@@ -127,7 +121,7 @@ class CanWire:
             yield ends_s, head.burst, messages
 
     def end_s(self, ready_s: float, can_id: int) -> float:
-        """Return when the last message of an 11 bit identifier will be through, in s.
+        """Return when the last message of an identifier will be through, in s.
 
         So it is if no other one that goes before it joins those that wait; ``ready_s`` at least.
         """

@@ -82,26 +82,17 @@ def crc16(data: bytes | bytearray) -> int:
     return crc
 
 
-def unstuff(body: bytes) -> bytes:
-    """Remove the FD after every ``FF FF FD`` of ``body``; as the encoders insert it."""
-    return body.replace(_STUFFED, HEADER)
-
-
-def _packet(packet_id: int, body: bytes) -> bytes:
+def encode_packet(packet_id: int, body: bytes) -> bytes:
+    """Return a packet with a body from INST to the last parameter, which is stuffed here."""
     body = body.replace(HEADER, _STUFFED)
     length = len(body) + _CRC_SIZE
     head = _START + _ID_AND_LENGTH.pack(packet_id, length) + body
     return head + crc16(head).to_bytes(_CRC_SIZE, "little")
 
 
-def encode_instruction(packet_id: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """Return the stuffed instruction packet for a servo, or for all with `BROADCAST_ID`."""
-    return _packet(packet_id, bytes((instruction,)) + parameters)
-
-
-def encode_status(packet_id: int, error: int, parameters: bytes = b"") -> bytes:
-    """Return the stuffed status packet of a servo; ``error`` is the whole error byte."""
-    return _packet(packet_id, bytes((STATUS, error)) + parameters)
+def encode_status(packet_id: int, error: int, parameters: bytes) -> bytes:
+    """Return the status packet of a servo; ``error`` is the whole error byte."""
+    return encode_packet(packet_id, bytes((STATUS, error)) + parameters)
 
 
 class Packet(NamedTuple):
@@ -147,7 +138,7 @@ class PacketParser:
             whole = 3 <= length <= MAX_LENGTH and HEADER not in body.replace(_STUFFED, b"")
             intact = crc16(buffer[: end - _CRC_SIZE]) == int.from_bytes(crc, "little")
             if whole:
-                body = unstuff(body)
+                body = body.replace(_STUFFED, HEADER)
                 packets.append(Packet(packet_id, body[0], body[1:], intact))
             buffer = buffer[end if whole and intact else len(_START) :]
         self._buffer = buffer if start >= 0 else buffer[-len(HEADER) :]

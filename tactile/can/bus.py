@@ -2,22 +2,18 @@
 
 python-can 4.6 reads a serial adapter byte by byte. It accepts some damaged lines as messages, and
 others end its receive thread. Its buses have no lock against a second program. A subclass of its
-driver and a lock file correct this.
+driver and a lock correct this.
 """
 
-import fcntl
 import hashlib
 import logging
-import os
 import re
 import select
 import socket
-import tempfile
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from pathlib import Path
 from typing import Any, NoReturn
 
 import can
@@ -34,7 +30,7 @@ CanBus = can.BusABC
 _NODE_BITS = 0x07F
 """Bits of the node-ID in a COB-ID (CiA 301, 7.3.5)."""
 _UNLOCKED = ("virtual", "slcan")
-"""Interfaces without a lock file: in one program, or on a serial port, which its driver locks."""
+"""Interfaces without a lock here: in one program, or on a serial port, which its driver locks."""
 _SEND_TIMEOUT_S = 0.1
 """Longest wait in s until an adapter accepts a message: five frame periods at 50 Hz."""
 _LONGEST_LINE = 32
@@ -77,29 +73,23 @@ class MissingBus(can.BusABC):
 
 @contextmanager
 def bus_lock(interface: str, channel: str) -> Iterator[None]:
-    """Hold the lock file of a CAN interface: one program at a time. A serial port has its own lock.
+    """Let one program at a time use a CAN interface. A serial port has its own lock.
 
-    Without it two programs could command one control unit. The operating system releases the lock
-    when the program ends. Raises BlockingIOError if another program holds it.
+    Without it two programs could command one control unit. The lock is a name among the sockets of
+    the system (unix(7), abstract): a service with its own /tmp shares it, and the operating system
+    releases it when the program ends. Raises BusNotOpened if another program holds it.
     """
-    if interface in _UNLOCKED:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as lock:
+        if interface not in _UNLOCKED:
+            name = hashlib.sha256(f"{interface} {channel}".encode()).hexdigest()
+            try:
+                lock.bind(f"\0can-{name}")
+            except OSError as error:
+                raise BusNotOpened(
+                    f"CAN interface {interface!r}, channel {channel!r}, is used by another program "
+                    "of this kind: end that program first"
+                ) from error
         yield
-        return
-    digest = hashlib.sha256(f"{interface} {channel}".encode()).hexdigest()[:16]
-    handle = _open_lock_file(Path(tempfile.gettempdir()) / f"can-{digest}.lock")
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    finally:
-        os.close(handle)
-
-
-def _open_lock_file(path: Path) -> int:
-    """Open a lock file, also that of another user."""
-    flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW
-    with suppress(FileNotFoundError):
-        return os.open(path, flags)
-    return os.open(path, flags | os.O_CREAT, 0o644)
 
 
 def _message_of(line: str) -> can.Message | None:
@@ -267,11 +257,8 @@ def open_bus(
             # The shutdown of the bus releases the lock.
             bus.shutdown = opened.pop_all().close  # type: ignore[method-assign]
             return bus
-    except BlockingIOError as error:
-        raise BusNotOpened(
-            f"CAN interface {interface!r}, channel {channel!r}, is used by another program of this "
-            "kind: end that program first"
-        ) from error
+    except BusNotOpened:
+        raise
     except Exception as error:
         # A driver without its library or its options raises errors of any kind.
         cause: object = error.__cause__ or error

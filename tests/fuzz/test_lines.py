@@ -27,7 +27,7 @@ from gripper.dynamixel.serial_port import SdkPort
 from gripper.errors import GripperError
 from simulator.can.messages import BurstFormat, force_bytes
 from simulator.clock import VirtualClock
-from simulator.servo.protocol2 import Instruction, crc16, encode_status, unstuff
+from simulator.servo.protocol2 import Instruction, crc16, encode_status
 from tactile.can.bus import BulkSlcanBus
 from tactile.frames.force_message import ForceStream
 from tactile.frames.transport import FrameAssembler, FrameFormat
@@ -240,7 +240,8 @@ def whole_packets(wire: bytes) -> Iterator[tuple[int, int, tuple[int, bytes]]]:
         end = at + 7 + int.from_bytes(wire[at + 5 : at + 7], "little")
         checksum = int.from_bytes(wire[end - 2 : end], "little")
         if at + 10 <= end <= len(wire) and crc16(wire[at : end - 2]) == checksum:
-            yield at, end, (wire[at + 4], unstuff(wire[at + 7 : end - 2]))
+            body = wire[at + 7 : end - 2].replace(START[:3] + b"\xfd", START[:3])
+            yield at, end, (wire[at + 4], body)
         at = wire.find(START, at + 1)
 
 

@@ -18,7 +18,13 @@ from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, ServoMount
 from simulator.servo.motor import ServoMotor
-from simulator.servo.protocol2 import Instruction, PacketParser, encode_instruction
+from simulator.servo.protocol2 import Instruction, PacketParser, encode_packet
+
+
+def encode_instruction(servo_id: int, instruction: int, parameters: bytes = b"") -> bytes:
+    """Return the packet of an instruction to a servo."""
+    return encode_packet(servo_id, bytes((instruction,)) + parameters)
+
 
 FINGERS = partial(FingerMechanics, linkage=ParallelogramLinkage(), aperture_m=0.06)
 

@@ -86,8 +86,8 @@ def test_the_estimate_is_the_mean_of_the_exact_count(low: int, high: int, mean: 
     assert estimate == pytest.approx(exact, rel=0.03)
 
 
-def waiting(ready_s: float, can_id: int, *data: bytes, extended: bool = False) -> Burst:
-    return Burst(ready_s, can_id, data, extended)
+def waiting(ready_s: float, can_id: int, *data: bytes) -> Burst:
+    return Burst(ready_s, can_id, data)
 
 
 def test_messages_wait_for_each_other_on_the_wire() -> None:
@@ -95,11 +95,11 @@ def test_messages_wait_for_each_other_on_the_wire() -> None:
     data = bytes(range(1, 9))
     length_s = mean_bits(data) / 500e3
     wire.put(waiting(1.0, TPDO_ID, data, data))
-    wire.put(waiting(2.0, TPDO_ID << 18, data, extended=True))
+    wire.put(waiting(2.0, TPDO_ID + 1, data))
     assert wire.end_s(1.0, TPDO_ID) == pytest.approx(1.0 + 2 * length_s)
     assert wire.end_s(1.0, TPDO_ID - 1) == 1.0
     ends_s = [end_s for burst_ends_s, *_ in wire.take(3.0) for end_s in burst_ends_s]
-    assert ends_s == pytest.approx([1.0 + length_s, 1.0 + 2 * length_s, 2.0 + length_s + 4e-5])
+    assert ends_s == pytest.approx([1.0 + length_s, 1.0 + 2 * length_s, 2.0 + length_s])
     assert wire.n_waiting == 0
     assert math.isinf(wire.next_end_s())
 
@@ -109,11 +109,15 @@ def test_the_lowest_identifier_goes_first_but_never_interrupts_one_on_the_wire()
     data = bytes(range(1, 9))
     wire.put(waiting(1.0, 0x385, data, data, data))
     wire.put(waiting(1.0001, 0x285, data))  # while the first of the burst is on the wire
-    wire.put(waiting(1.0001, 0x285, data, extended=True))  # base identifier 0: before the burst
-    order = [(burst.can_id, burst.extended) for ends_s, burst, _ in wire.take(2.0) for _ in ends_s]
-    assert order == [
-        (0x385, False), (0x285, True), (0x285, False), (0x385, False), (0x385, False)
-    ]  # fmt: skip
+    order = [burst.can_id for ends_s, burst, _ in wire.take(2.0) for _ in ends_s]
+    assert order == [0x385, 0x285, 0x385, 0x385]
+
+
+def test_no_device_takes_an_identifier_of_29_bits() -> None:
+    echo, bus, _ = echo_bus()
+    bus.send(can.Message(arbitration_id=0x605, data=b"\x40", is_extended_id=True))
+    bus.send(can.Message(arbitration_id=0x605, data=b"\x40", is_extended_id=False))
+    assert [can_id for _, can_id, _ in echo.heard] == [0x605]
 
 
 def test_waiting_moves_the_clock_to_the_time_out_and_no_further() -> None:
@@ -270,7 +274,9 @@ REFUSED = (
 def test_answers_of_a_closed_and_an_open_adapter(is_open: bool) -> None:
     refused = dict.fromkeys(REFUSED[is_open].split(b"|"), b"\a")
     for command, answer in (ANSWERS[is_open] | refused).items():
-        assert Line(*[b"O"] * is_open).say(command + b"\r") == answer, command
+        line = Line(*[b"O"] * is_open)
+        assert line.say(command + b"\r") == answer, command
+        assert line.heard == [], command
 
 
 def test_the_flags_tell_the_state_of_the_controller() -> None:

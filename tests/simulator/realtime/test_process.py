@@ -30,10 +30,10 @@ from simulator.realtime.process import FORGIVEN_S, PIECE_S, RealTimeCell, serve
 from simulator.realtime.requests import CellRequests, PositionerServer
 from simulator.realtime.terminals import SerialPty
 from simulator.servo.bus import ServoBusDevice
-from simulator.servo.protocol2 import Instruction, encode_instruction
+from simulator.servo.protocol2 import Instruction
 from simulator.servo.wrist import WristMount
 from simulator.settings import SimulatorSettings
-from tests.simulator.conftest import ServoBench
+from tests.simulator.conftest import ServoBench, encode_instruction
 
 SCRIPT = """
 import json

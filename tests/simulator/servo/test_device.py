@@ -10,8 +10,8 @@ from gripper.dynamixel.models import XC330_M288, XL330_M288, XM430_W350, Operati
 from simulator.errors import PortUnplugged
 from simulator.servo.bus import MemoryServoStream
 from simulator.servo.device import WatchdogStop
-from simulator.servo.protocol2 import Instruction, PacketParser, encode_instruction, encode_status
-from tests.simulator.conftest import ServoBench
+from simulator.servo.protocol2 import Instruction, PacketParser, encode_status
+from tests.simulator.conftest import ServoBench, encode_instruction
 
 RANGE, LENGTH, LIMIT, ACCESS = 4, 5, 6, 7
 
