@@ -31,8 +31,6 @@ from tactile.sensor.tare import assess_health, compute_tare
 
 _REST_FRAMES = 100
 """Number of frames at rest, the same as for the zero of a cell."""
-_MEAN_FRAMES = 3
-"""Number of frames that the sensor averages; see `SensorSettings.mean_frames`."""
 _NOISY_FACTOR = 2.0
 """Least reported noise of a pad, relative to the quietest one: pads of one make differ by less than
 a third in the simulated cell."""
@@ -91,14 +89,11 @@ def judge_rest(
     contact_force_n
         Force in N that must be detected.
     """
-    zero_counts, health = (
-        frames.mean(axis=0, dtype=np.float64),
-        assess_health(frames, layout.adc_max),
-    )
+    zero_counts, health = frames.mean(axis=0), assess_health(frames, layout.adc_max)
     zero, noise = _by_pad(layout, zero_counts), _by_pad(layout, frames.std(axis=0))
-    n = len(frames) // _MEAN_FRAMES
-    tared = np.where(health.bad, 0.0, frames[: n * _MEAN_FRAMES] - zero_counts)
-    force_n = calibration.force_n(tared.reshape(n, _MEAN_FRAMES, -1).mean(axis=1))
+    n, averaged = len(frames) // limits.mean_frames, limits.mean_frames
+    tared = np.where(health.bad, 0.0, frames[: n * averaged] - zero_counts)
+    force_n = calibration.force_n(tared.reshape(n, averaged, -1).mean(axis=1))
     noises_n = {
         layout.pads[pad].name: float(force_n[:, layout.taxels_of(pad)].sum(axis=1).std(ddof=1))
         for pad in layout.gripping_pads

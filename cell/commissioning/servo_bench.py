@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from functools import partial
-from math import exp, inf, log
+from math import exp, inf
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -293,14 +293,6 @@ def slope(x: Sequence[float], y: Sequence[float]) -> float | None:
     return float(np.polyfit(x, y, 1)[0])
 
 
-def exponent(current_a: Sequence[float], pwm_share: Sequence[float]) -> float | None:
-    """Return n of PWM ~ current**n at rest; None with fewer than 3 points.
-
-    V d = R I gives 1 for the current I of the winding, and 1/2 for that of the supply, d I.
-    """
-    return slope([log(a) for a in current_a], [log(share) for share in pwm_share])
-
-
 def friction(speed_rad_s: Floats, current_a: Floats) -> tuple[float, float, float]:
     """Return Coulomb friction in A, viscous friction in A s/rad and offset in A of free motion.
 
@@ -430,7 +422,8 @@ def scale(rig: Rig, dialog: Dialog) -> Values:
         "rising_a_nm": slope(rising.torque_nm, rising.motor_a),
         "falling_a_nm": slope(falling.torque_nm, falling.motor_a),
         "winding_ohm": slope(every.motor_a, every.winding_v),
-        "duty_exponent": exponent(every.register_a, every.pwm_share),
+        # V d = R I gives 1 for the current I of the winding, and 1/2 for that of the supply, d I.
+        "duty_exponent": slope(np.log(every.register_a), np.log(every.pwm_share)),
     }
 
 

@@ -306,6 +306,7 @@ class VirtualPads:
         of_sensor = rng.spawn(1)[0]
         bend = of_sensor.lognormal(0.0, course.bend_sd)
         lag = course.lag * of_sensor.uniform()
+        creep = -math.expm1(-1.0 / (_SLOW_S / course.period_s))
         shape = len(force_n), self.pads.n_taxels
         noise = self._noise(rng, math.prod(shape)).reshape(shape)
         counts = of_sensor.lognormal(0.0, course.noise_sd) * noise
@@ -319,7 +320,8 @@ class VirtualPads:
                 rng.normal(0.0, course.taxel_gain_sd, len(bed.taxels))
             )
             taxels_n = pressed.taxel_force_n(depth_m)
-            taxels_n += lag * (_slowly(taxels_n, _SLOW_S / course.period_s) - taxels_n)
+            slowly_n = lfilter([creep], [1.0, creep - 1.0], taxels_n, axis=0)
+            taxels_n += lag * (slowly_n - taxels_n)
             counts[:, bed.taxels] += self.pads.adc_max * foam.response(taxels_n * gains) ** bend
         return counts, depth_sum_m
 
@@ -342,13 +344,6 @@ class VirtualPads:
             times_s - wait_s, [0.0, travel_s, closing_s], [0.0, travel_m, way_m]
         )
         return closed_m, impact_n
-
-
-def _slowly(values: NDArray[np.float64], n_frames: float) -> NDArray[np.float64]:
-    """Return values (n, ...) after a low-pass with a time constant in frames."""
-    share = -math.expm1(-1.0 / n_frames)
-    out: NDArray[np.float64] = lfilter([share], [1.0, share - 1.0], values, axis=0)
-    return out
 
 
 def _force_course(

@@ -14,7 +14,7 @@ from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.control.records import GraspRecord, pad_array
 from cell.errors import CellError, CellStateError, ModelError, RequestRefused, TrainingSetMissing
-from cell.learning.model import Arrays, LoadedModel, Trained, check_pads, load_model, save_model
+from cell.learning.model import LoadedModel, Trained, check_pads, load_model, save_model
 from cell.learning.shape_reading import shape_reader
 from cell.learning.teaching_summary import ToldApart, told_apart
 from cell.learning.training import gaugeable, gauged, train
@@ -119,14 +119,9 @@ class TaughtModel:
 
     # -- teaching ------------------------------------------------------------------------------
 
-    @property
-    def extendable(self) -> bool:
-        """Whether teaching keeps the earlier objects, because their grasps are available."""
-        return self._trained is None or bool(self.training_set)
-
     def check_extendable(self) -> None:
         """Raise TrainingSetMissing if teaching would lose the objects of a loaded model."""
-        if not self.extendable:
+        if self._trained is not None and not self.training_set:
             raise TrainingSetMissing(
                 "name the data set that trained the model when it is loaded, or begin without a "
                 f"model: teaching alone would lose {', '.join(self.labels)}"
@@ -333,7 +328,11 @@ class TaughtModel:
             if self._written[0] is not grasps or self._written[1].parent != path.parent:
                 write_dataset(dataset := training_set_file(path), grasps)
                 self._written = (grasps, dataset)
-            training_set = _training_section(*self._written)
+            training_set = {
+                "file": np.array(self._written[1].name),
+                "sha256": np.array(_checksum(grasps)),
+                "grasps": np.array(len(grasps)),
+            }
         if followed and isinstance(recognizer, DriftFollowing):
             recognizer = recognizer.with_grid(recognizer.grid.with_unnamed_as_gauge())
         trained = replace(trained, recognizer=recognizer, training_set=training_set)
@@ -343,15 +342,6 @@ class TaughtModel:
 def training_set_file(model: Path) -> Path:
     """Return the data set that `TaughtModel.save` writes beside a model file."""
     return model.with_name(f"{model.stem}.grasps.npz")
-
-
-def _training_section(grasps: Sequence[Grasp], file: Path) -> Arrays:
-    """Return what a model file has of its training set: name and checksum of the data set."""
-    return {
-        "file": np.array(file.name),
-        "sha256": np.array(_checksum(grasps)),
-        "grasps": np.array(len(grasps)),
-    }
 
 
 def _saved_training_set(model: LoadedModel) -> tuple[Grasp, ...]:

@@ -330,10 +330,6 @@ def _force_gain(fault: Fault) -> Undo:
     return partial(setattr, fault.devices.world, "force_gain", 1.0)
 
 
-def _nothing() -> None:
-    """Undo nothing."""
-
-
 # fmt: off
 _FAULTS = (
     *(
@@ -437,7 +433,7 @@ _FAULTS = (
     FaultEntry("object.gone", "the part is removed from the fingers",
                happens=lambda fault: fault.owner.remove()),
     FaultEntry("object.slips", "the part slides along the pads until it has left them", "slips",
-               Number("mm/s", 0.1, 1000.0, default=20.0), effect=lambda _fault: _nothing,
+               Number("mm/s", 0.1, 1000.0, default=20.0), effect=lambda _fault: lambda: None,
                act=_slip),
     FaultEntry("object.trapped",
                "a trapped object beside the part grows by this value at 20 mm/s and pushes back",

@@ -210,7 +210,7 @@ class SimulatedServo:
         """Bring registers 120 to 146 up to date."""
         plant, model, sign, offset = self.plant, self.model, self._sign, self._turn_offset
         data = self.registers.data
-        velocity_raw = sign * plant.sensed_velocity_raw
+        velocity_raw = sign * plant.velocity_register.raw
         position_raw = sign * plant.sensed_count + offset
         trajectory_raw = sign * self._counts(plant.reference_rad) + offset
         _, _, _, _, profile, goal_raw = _GOALS.unpack_from(data, _GOAL_START)

@@ -283,7 +283,8 @@ class ServoMotor:
         """Put the output at rest at an angle in rad; the encoder starts there."""
         self.angle_rad = angle_rad
         self.velocity_rad_s = self.rotor_velocity_rad_s = self.lead_rad = 0.0
-        self._velocity_register = VelocityRegister(self.model, self.sensed_count)
+        self.velocity_register = VelocityRegister(self.model, self.sensed_count)
+        """Velocity that the firmware computes from the counts."""
 
     @property
     def sensed_rad(self) -> float:
@@ -298,11 +299,6 @@ class ServoMotor:
             return math.floor(self.sensed_rad / self._rad_per_pulse + 0.5)
         angle_rad = self.angle_rad + self.encoder_offset_rad
         return math.floor(angle_rad / self._rad_per_pulse + 0.5 + self._dither)
-
-    @property
-    def sensed_velocity_raw(self) -> int:
-        """Velocity that the firmware computes from the counts, in units of the register."""
-        return self._velocity_register.raw
 
     @property
     def kt_nm_a(self) -> float:
@@ -355,7 +351,7 @@ class ServoMotor:
         if self._noise is not None:
             self._dither = self._noise.dither()
         count = self.sensed_count
-        self._velocity_register.step(count, dt_s)
+        self.velocity_register.step(count, dt_s)
         command = self.command
         if command.mode is None:
             self.current_a = 0.0

@@ -21,6 +21,8 @@ _POLL_S = 0.0005
 """Longest pause in s between two polls of a bus or a queue: four messages at 1 Mbit/s."""
 _RECEIVE_S = 0.05
 """Longest wait in s of the thread for a message, which also limits the delay of its end."""
+_HANG_S = 1.0
+"""Longest time in s of one loop of the thread; a longer one counts as hung."""
 _JOIN_S = 2.0
 """Longest wait in s for the end of the thread."""
 
@@ -95,15 +97,10 @@ class ThreadedReceiver(PolledSource):
         An open bus whose ``recv`` may block.
     limit
         Size of the queue; the receiver gives up when it is full.
-    hang_s
-        Longest time in s of one loop of the receiver; a longer one counts as hung.
     """
 
-    def __init__(
-        self, bus: can.BusABC, clock: Clock, *, limit: int = 20_000, hang_s: float = 1.0
-    ) -> None:
+    def __init__(self, bus: can.BusABC, clock: Clock, *, limit: int = 20_000) -> None:
         super().__init__(bus, clock, limit=limit)
-        self._hang_s = hang_s
         self._queue: deque[Stamped] = deque()
         self._stop = threading.Event()
         self._fault: BusOff | ReceiveLoopDead | None = None
@@ -151,10 +148,10 @@ class ThreadedReceiver(PolledSource):
         if self._fault is not None:
             raise self._fault
         silent_s = self._clock.monotonic() - self._alive_s
-        if silent_s > self._hang_s:
+        if silent_s > _HANG_S:
             raise ReceiveLoopDead(
                 f"the receive thread did not come round for {silent_s:.2f} s, allowed are "
-                f"{self._hang_s:g} s: the CAN driver hangs; unplug the adapter and start again"
+                f"{_HANG_S:g} s: the CAN driver hangs; unplug the adapter and start again"
             )
         queue = self._queue
         return [queue.popleft() for _ in range(len(queue))]

@@ -110,8 +110,6 @@ class TactileLink:
         An open bus.
     node_id
         CANopen node-ID of the unit, 1 to 127.
-    clock
-        Monotonic time; by default that of a simulated bus, else the module ``time``.
     force_table
         Object 0x2141, the table for the unit's sum of the force; None: no force messages.
     reopen
@@ -124,7 +122,6 @@ class TactileLink:
         *,
         node_id: int,
         layout: TaxelLayout,
-        clock: Clock | None = None,
         settings: LinkSettings | None = None,
         force_table: bytes | None = None,
         reopen: Callable[[], can.BusABC] | None = None,
@@ -135,7 +132,8 @@ class TactileLink:
         self._bus, self._reopen, self._node_id = bus, reopen, node_id
         self.layout = layout
         """The taxels of the unit."""
-        self._clock: Clock = getattr(bus, "clock", time) if clock is None else clock
+        # A simulated bus has the time of its devices.
+        self._clock: Clock = getattr(bus, "clock", time)
         self.settings = settings or LinkSettings()
         """Periods and limits."""
         self._mounting = Mounting(layout, self.settings.mounts)
@@ -173,7 +171,7 @@ class TactileLink:
         self._new_forces: list[ForceMessage] = []
         self._looked_s = 0.0
         self._next_sync_s: float | None = None
-        self._syncs = self._late_syncs = self._malformed = 0
+        self._syncs = self._late_syncs = 0
         self._bad_lines = bad_lines(self._bus)
         for cob_id, handler in (
             (od.COB_TPDO1 + node_id, self._on_frame),
@@ -201,7 +199,7 @@ class TactileLink:
     @property
     def _unusable(self) -> int:
         """Number of unusable messages without frame messages of a wrong length."""
-        return self._malformed + self._watch.unusable + bad_lines(self._bus) - self._bad_lines
+        return self._watch.unusable + bad_lines(self._bus) - self._bad_lines
 
     def start(self) -> NodeIdentity:
         """Reset the unit's communication, check it, set it up and start its frames.
@@ -415,7 +413,7 @@ class TactileLink:
             elif of_another_kind(message):
                 watch.on_foreign(t_s)
             elif len(message.data) != message.dlc:
-                self._malformed += 1
+                watch.unusable += 1
             else:
                 if message.arbitration_id not in network.subscribers:
                     watch.on_foreign(t_s)

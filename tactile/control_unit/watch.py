@@ -109,14 +109,13 @@ class TrafficLimit:
         self._what, self._advice = what, advice
         self._rate_hz, self._burst = rate_hz, max(burst, _BURST_S * rate_hz)
         self._total = self._n = 0
-        self._level = self._at_s = 0.0
-        self._since_s: float | None = None
+        self._level = self._at_s = self._since_s = 0.0
 
     def reach(self, total: int, t_s: float) -> None:
         """Add the messages up to a total at ``t_s`` s; BusDisturbed if they are too many."""
         n, self._total = total - self._total, total
         self._level = max(0.0, self._level - self._rate_hz * max(0.0, t_s - self._at_s))
-        if self._level == 0.0 or self._since_s is None:
+        if self._level == 0.0:
             self._since_s, self._n = t_s, 0
         self._at_s = t_s
         self._level += n
@@ -148,8 +147,7 @@ class NodeWatch:
             _MAX_UNUSABLE_HZ,
         )
         self._in_operation = False
-        self._heartbeat_at_s: float | None = None
-        self._passive_since_s: float | None = None
+        self._heartbeat_at_s, self._passive_since_s = -inf, inf
         self.state: int | None = None
         self.boot_ups = self.unusable = self.error_frames = self.foreign = 0
 
@@ -160,10 +158,8 @@ class NodeWatch:
 
     def wait_longer(self, late_s: float) -> None:
         """Extend all deadlines by a stall of the host in s."""
-        if self._heartbeat_at_s is not None:
-            self._heartbeat_at_s += late_s
-        if self._passive_since_s is not None:
-            self._passive_since_s += late_s
+        self._heartbeat_at_s += late_s
+        self._passive_since_s += late_s
 
     def on_foreign(self, t_s: float) -> None:
         """Process a message of another node."""
@@ -178,7 +174,7 @@ class NodeWatch:
             self.unusable += 1
             return
         self.state = state
-        self._heartbeat_at_s = max(t_s, self._heartbeat_at_s or t_s)
+        self._heartbeat_at_s = max(t_s, self._heartbeat_at_s)
         if self.state == BOOT_UP:
             self.boot_ups += 1
             if self._in_operation:
@@ -221,24 +217,22 @@ class NodeWatch:
             )
         controller = data[1] if classes & CLASS_CONTROLLER and len(data) > 1 else 0
         if controller & ACTIVE or classes & _CLASS_RESTARTED:
-            self._passive_since_s = None
-        elif controller & PASSIVE and self._passive_since_s is None:
-            self._passive_since_s = t_s
+            self._passive_since_s = inf
+        elif controller & PASSIVE:
+            self._passive_since_s = min(self._passive_since_s, t_s)
 
     def check(self, now_s: float, unusable: int) -> None:
         """Raise the fault of a missed deadline, or of too many unusable messages in total."""
         self._unusable_limit.reach(unusable, now_s)
-        passive_since_s = self._passive_since_s
-        if passive_since_s is not None and now_s - passive_since_s >= _PASSIVE_S:
+        passive_s = now_s - self._passive_since_s
+        if passive_s >= _PASSIVE_S:
             raise errors.BusErrorPassive(
-                f"the CAN controller of the host has been error-passive for "
-                f"{now_s - passive_since_s:.2f} s, allowed are {_PASSIVE_S:g} s: check "
-                "wiring, termination and bit rate, then start the link again"
+                f"the CAN controller of the host has been error-passive for {passive_s:.2f} s, "
+                f"allowed are {_PASSIVE_S:g} s: check wiring, termination and bit rate, then start "
+                "the link again"
             )
-        if not self._in_operation or self._heartbeat_at_s is None:
-            return
         silent_s = now_s - self._heartbeat_at_s
-        if silent_s > self._silence_s:
+        if self._in_operation and silent_s > self._silence_s:
             raise errors.HeartbeatLost(
                 f"no heartbeat from {self._name} for {silent_s:.3f} s, allowed are "
                 f"{self._silence_s:g} s: check its supply and its CAN cable, then start the link "

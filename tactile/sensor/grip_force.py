@@ -96,6 +96,8 @@ class GripForce(Generic[Sample]):
 
     def _from_messages(self, messages: Sequence[ForceMessage], reading: TactileReading) -> Sample:
         n, newest = len(messages), messages[-1]
+        centre, layout = mean_centre_taxels(messages), self._sensor.layout
+        pad = layout.pads[layout.gripping_pads[0]]
         objections = [text for one in messages if (text := _objection(one.status))]
         reason = reading.reason or next(iter(objections), "")
         at_least = (reading.ok or reading.at_least) and all(
@@ -110,21 +112,13 @@ class GripForce(Generic[Sample]):
             valid=not reason,
             at_least=bool(reason) and at_least,
             reason=reason,
-            centre_m=self._centre_m(messages),
+            centre_m=centre and (centre[0] * pad.pitch_x_m, centre[1] * pad.pitch_y_m),
             centre_noise_m=_MESSAGE_CENTRE_N_M / grip_n / sqrt(n),
             lag_s=_MESSAGE_S + newest.t_s - sum(message.t_s for message in messages) / n,
             noise_n=self._sensor.scan_noise_n / sqrt(n),
             frame_s=reading.frame.scanned_s,
             frame_n=reading.scan_force_n,
         )
-
-    def _centre_m(self, messages: Sequence[ForceMessage]) -> tuple[float, float] | None:
-        """Return the common centre of the messages in m."""
-        centre = mean_centre_taxels(messages)
-        if centre is None:
-            return None
-        pad = self._sensor.layout.pads[self._sensor.layout.gripping_pads[0]]
-        return centre[0] * pad.pitch_x_m, centre[1] * pad.pitch_y_m
 
     def take(self) -> list[TactileFrame]:
         """Return the frames since the last call, oldest first."""

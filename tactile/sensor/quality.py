@@ -47,7 +47,8 @@ class QualityWatch:
         """Start again with a zero and its last frame, or without."""
         n = self._layout.n_taxels
         self._tare = tare
-        self._last = last
+        self.last = last
+        """The frame before, None at the start."""
         self._changed_s = 0.0 if last is None else last.t_s
         self._aimed_s: float | None = None
         self._aim_at_change = self._aim
@@ -70,7 +71,7 @@ class QualityWatch:
 
         Raises FrameTimeout when the samples are frozen.
         """
-        last, self._last = self._last, frame
+        last, self.last = self.last, frame
         if last is None:
             self._changed_s, self._aim_at_change = frame.t_s, self._aim
             return

@@ -171,7 +171,6 @@ class TactileSensor:
         """The newest reading of `poll`, None before; its ``t_s`` gives its age."""
         self.scan_noise_n = inf
         """Standard deviation in N of the grip force of one force message, or of one frame."""
-        self._last_s: float | None = None
         self._failed: FrameTimeout | ForceContradicted | None = None
         self._new_forces: deque[ForceMessage] = deque(maxlen=_MOST_FORCES)
         self._force_bad: NDArray[np.bool_] | None = None
@@ -293,7 +292,6 @@ class TactileSensor:
         least = self._settings.noise_share * self.layout.adc_max
         noise = typical_noise(self.layout, result.noise_counts, least)
         self._touch = ActiveTaxels(self._hood, noise / np.sqrt(self._settings.mean_frames))
-        self._last_s = None
         self._quality.restart(result, frames[n_frames - 1])
         self._write_zero(result)
         return result
@@ -365,8 +363,8 @@ class TactileSensor:
         return arrived
 
     def _reading(self, frame: TactileFrame) -> TactileReading:
-        last_s, self._last_s = self._last_s, frame.t_s
-        if last_s is not None and frame.t_s - last_s > _GAP_S:
+        last = self._quality.last
+        if last is not None and frame.t_s - last.t_s > _GAP_S:
             self._frames.clear()
         touched = self.latest is not None and bool(self.latest.active.any())
         self._quality.step(frame, touched=touched)

@@ -49,12 +49,12 @@ def test_a_stuck_encoder_reads_no_velocity_after_its_window():
     for _ in range(300):
         motor.angle_rad += STEP_S
         motor.torque_nm(STEP_S)
-    assert motor.sensed_velocity_raw == pytest.approx(41, abs=1)
+    assert motor.velocity_register.raw == pytest.approx(41, abs=1)
     motor.stuck_at_rad = motor.angle_rad
     for after_s, raw in ((0.032, 25), (0.12, 0)):
         for _ in range(round(after_s / STEP_S)):
             motor.torque_nm(STEP_S)
-        assert abs(motor.sensed_velocity_raw - raw) <= 4 * (raw > 0)
+        assert abs(motor.velocity_register.raw - raw) <= 4 * (raw > 0)
 
 
 def test_at_rest_a_count_changes_in_a_quarter_of_the_samples_and_the_velocity_is_0():
@@ -68,7 +68,7 @@ def test_at_rest_a_count_changes_in_a_quarter_of_the_samples_and_the_velocity_is
             for _ in range(10):
                 motor.torque_nm(STEP_S)
             counts.append(motor.sensed_count)
-            raws.add(motor.sensed_velocity_raw)
+            raws.add(motor.velocity_register.raw)
         changes.append(sum(a != b for a, b in pairwise(counts)) / 299)
         assert raws <= {-1, 0, 1}
         assert max(counts) - min(counts) <= 2

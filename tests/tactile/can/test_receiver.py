@@ -111,7 +111,7 @@ def test_a_queue_that_nobody_empties_is_a_fault(bus) -> None:
 
 def test_a_driver_that_hangs_is_a_fault(bus) -> None:
     clock = Clock()
-    receiver = ThreadedReceiver(bus, clock, hang_s=1.0)
+    receiver = ThreadedReceiver(bus, clock)
     hang, hanging = threading.Event(), threading.Event()
     receiver.start()
 
