@@ -13,10 +13,11 @@ from typing import Any
 
 import canopen
 from canopen.objectdictionary import ODVariable
+from canopen.sdo import constants as sdo
 
 from simulator.can.faults import ControlUnitFaults
 from simulator.can.messages import DamagedObject
-from simulator.can.node import Abort, CanopenDevice, object_name
+from simulator.can.node import CanopenDevice, object_name
 from simulator.can.scanner import ScannedWorld, Scanner
 from simulator.can.wire import mean_bits
 from simulator.clock import ROUNDING_S
@@ -133,12 +134,12 @@ class SimulatedControlUnit(CanopenDevice):
 
     def _check_there(self, od: ODVariable, subindex: int) -> None:
         if object_name(od) in self._missing:
-            raise canopen.SdoAbortedError(Abort.NO_OBJECT)
+            raise canopen.SdoAbortedError(sdo.ABORT_NOT_IN_OD)
         super()._check_there(od, subindex)
 
     def _read_history(self, subindex: int) -> int:
         if subindex > len(self.errors):
-            raise canopen.SdoAbortedError(Abort.NO_DATA)
+            raise canopen.SdoAbortedError(sdo.ABORT_NO_DATA_AVAILABLE)
         return self.errors[subindex - 1] if subindex else len(self.errors)
 
     def _read_board(self, subindex: int) -> int | None:
@@ -150,30 +151,30 @@ class SimulatedControlUnit(CanopenDevice):
     def _read_frame(self, _subindex: int) -> bytes:
         frame = self.scanner.last_frame()
         if frame is None:
-            raise canopen.SdoAbortedError(Abort.NO_DATA)
+            raise canopen.SdoAbortedError(sdo.ABORT_NO_DATA_AVAILABLE)
         return frame
 
     def _written(self, od: ODVariable, value: Any) -> None:
         name, group = od.qualname, object_name(od)
         if od.max is not None and value > od.max:
-            raise canopen.SdoAbortedError(Abort.VALUE_HIGH)
+            raise canopen.SdoAbortedError(sdo.ABORT_VALUE_TOO_HIGH)
         if od.min is not None and value < od.min:
-            raise canopen.SdoAbortedError(Abort.VALUE_LOW)
+            raise canopen.SdoAbortedError(sdo.ABORT_VALUE_TOO_LOW)
         fixed = od.default if od.name.startswith("Transmission type") else _FIXED_VALUES.get(name)
         if fixed is not None and value != fixed:
-            raise canopen.SdoAbortedError(Abort.VALUE_RANGE)
+            raise canopen.SdoAbortedError(sdo.ABORT_INVALID_VALUE)
         if name == _SYNC_COB_ID and not 1 <= value & _FRAME_BIT_AND_COB_ID <= _COB_ID_BITS:
-            raise canopen.SdoAbortedError(Abort.VALUE_RANGE)
+            raise canopen.SdoAbortedError(sdo.ABORT_INVALID_VALUE)
         if name in _COB_IDS:
             present, cob_id = self.number(name), value & _FRAME_BIT_AND_COB_ID
             both_on = not (present | value) & unit_od.PDO_INVALID
             if not _LOWEST_PDO_COB_ID <= cob_id <= _HIGHEST_PDO_COB_ID or (
                 both_on and (present ^ value) & _COB_ID_BITS
             ):
-                raise canopen.SdoAbortedError(Abort.VALUE_RANGE)
+                raise canopen.SdoAbortedError(sdo.ABORT_INVALID_VALUE)
         mapping = group.endswith("mapping parameter")
         if mapping and value != od.default and (od.subindex or value):
-            raise canopen.SdoAbortedError(Abort.NOT_MAPPABLE)
+            raise canopen.SdoAbortedError(sdo.ABORT_PDO_CANNOT_MAP)
         if group == _ERRORS:
             self.errors.clear()
         try:
@@ -182,10 +183,10 @@ class SimulatedControlUnit(CanopenDevice):
             elif name == unit_od.FORCE_ZERO:
                 self.scanner.forces.take_zero(bytes(value))
         except DamagedObject as error:
-            raise canopen.SdoAbortedError(Abort.VALUE_RANGE) from error
+            raise canopen.SdoAbortedError(sdo.ABORT_INVALID_VALUE) from error
         # The simulated unit takes no zero of its own, so it can only be told to have none.
         if name == "Tare.Command" and value != unit_od.TARE_CLEAR_SIGNATURE:
-            raise canopen.SdoAbortedError(Abort.NOT_STORED)
+            raise canopen.SdoAbortedError(sdo.ABORT_STORE_APPLICATION)
 
     # -- device on the bus ---------------------------------------------------------------------
 

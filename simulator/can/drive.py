@@ -13,10 +13,11 @@ from typing import Any
 import canopen
 from canopen.objectdictionary import ODVariable
 from canopen.profiles.p402 import State402
+from canopen.sdo import constants as sdo
 
 from motion import object_dictionary as od
 from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, Status
-from simulator.can.node import Abort, CanopenDevice
+from simulator.can.node import CanopenDevice
 
 STEP_S = 1e-3
 """Period in s of the drive's position loop."""
@@ -219,15 +220,15 @@ class SimulatedDrive(CanopenDevice):
             self._command(value)
         elif od.name == "Modes of operation":
             if value not in (0, ModeOfOperation.PROFILE_POSITION, ModeOfOperation.HOMING):
-                raise canopen.SdoAbortedError(Abort.VALUE_RANGE)
+                raise canopen.SdoAbortedError(sdo.ABORT_INVALID_VALUE)
             if self.motion.speed != 0.0:
-                raise canopen.SdoAbortedError(Abort.WRONG_STATE)
+                raise canopen.SdoAbortedError(sdo.ABORT_APPLICATION_DEVICE_STATE)
             self._acknowledged = self._reached = False
         elif od.name == "Host":
             # Supervision begins with the first heartbeat (CiA 301, 7.2.8.3.3).
             self._host_due_s = math.inf
         elif od.name == "Homing method" and value not in [0, *HomingMethod]:
-            raise canopen.SdoAbortedError(Abort.VALUE_RANGE)
+            raise canopen.SdoAbortedError(sdo.ABORT_INVALID_VALUE)
 
     # -- state machine -------------------------------------------------------------------------
 

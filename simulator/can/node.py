@@ -5,13 +5,13 @@ import math
 import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from enum import IntEnum
 from types import SimpleNamespace
 from typing import Any
 
 import canopen
 from canopen.nmt import NMT_COMMANDS
 from canopen.objectdictionary import ODVariable
+from canopen.sdo import constants as sdo
 from canopen.sdo.server import SdoServer
 
 from simulator.errors import SimulatorStateError
@@ -28,26 +28,8 @@ BOOT_S = 0.02
 """Time in s from power-on or reset to the boot-up message."""
 
 
-class Abort(IntEnum):
-    """SDO abort codes (CiA 301, 7.2.4.3.17)."""
-
-    UNKNOWN_COMMAND = 0x0504_0001
-    """A command that is unknown, or out of its turn."""
-    NO_OBJECT = 0x0602_0000
-    NOT_MAPPABLE = 0x0604_0041
-    NO_SUBINDEX = 0x0609_0011
-    VALUE_RANGE = 0x0609_0030
-    VALUE_HIGH = 0x0609_0031
-    VALUE_LOW = 0x0609_0032
-    NOT_STORED = 0x0800_0020
-    WRONG_STATE = 0x0800_0022
-    NO_DATA = 0x0800_0024
-
-
-_ABORTED = 0x80
-"""First byte of an SDO abort."""
-_ABORT, _INITIATE = struct.Struct("<BHBL"), struct.Struct("<BHB")
-"""An SDO abort, and the head of a request: command, index, sub-index, and the abort code."""
+_ABORT = struct.Struct("<BHBL")
+"""An SDO abort: command, index, sub-index, code."""
 _SDO_BYTES = 8
 # A refusal of the server is an abort for the client, not an error of the simulator.
 logging.getLogger(SdoServer.__module__).setLevel(logging.CRITICAL)
@@ -177,14 +159,15 @@ class CanopenDevice(ABC):
 
     def _serve(self, request: bytes) -> None:
         """Answer one SDO request."""
-        sdo = self._node.sdo
+        server = self._node.sdo
         try:
-            sdo.on_request(sdo.rx_cobid, bytearray(request), self._network.now_s)
+            server.on_request(server.rx_cobid, bytearray(request), self._network.now_s)
         except struct.error:
             # Its abort has the object of the last transfer, but there was no transfer.
-            _, index, subindex = _INITIATE.unpack_from(request)
-            abort = _ABORT.pack(_ABORTED, index, subindex, Abort.UNKNOWN_COMMAND)
-            self._network.send_message(sdo.tx_cobid, abort)
+            _, index, subindex = sdo.SDO_STRUCT.unpack_from(request)
+            code = sdo.ABORT_INVALID_COMMAND_SPECIFIER
+            abort = _ABORT.pack(sdo.RESPONSE_ABORTED, index, subindex, code)
+            self._network.send_message(server.tx_cobid, abort)
 
     @abstractmethod
     def _take(self, can_id: int, data: bytes) -> None:
@@ -231,7 +214,7 @@ class CanopenDevice(ABC):
 
     def _check_there(self, od: ODVariable, subindex: int) -> None:
         if subindex != od.subindex:
-            raise canopen.SdoAbortedError(Abort.NO_SUBINDEX)
+            raise canopen.SdoAbortedError(sdo.ABORT_NO_SUBINDEX)
 
     @abstractmethod
     def _written(self, od: ODVariable, value: Any) -> None:

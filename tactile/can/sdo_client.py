@@ -7,6 +7,7 @@ from typing import Any
 
 import can
 import canopen
+from canopen.sdo import constants as sdo
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
@@ -14,18 +15,10 @@ from tactile.can.receiver import interface_failed
 from tactile.clock import Clock
 from tactile.errors import NodeMissing, ObjectRefused
 
-_ABORTED = 0x80
-"""First byte of an abort, by client or server (CiA 301, 7.2.4.3.17)."""
 _SDO_BYTES = 8
-_SEGMENT, _SEGMENT_DONE, _UPLOAD, _DONE = range(4)
-"""Answers by the top three bits of their first byte (CiA 301, 7.2.4.3)."""
-_ABORT_OUT_OF_MEMORY = 0x0504_0005
-"""Abort code of a client that accepts no more data."""
 _SEGMENT_BYTES = 7
 """Data bytes of a segment."""
 
-_NO_OBJECT = 0x0602_0000
-"""SDO abort code: the object does not exist (CiA 301, 7.2.4.3.17)."""
 _ADVICE = dict.fromkeys(
     (0x0503, 0x0504, 0x060A),
     "another program may use the unit: end that program, then start the link again",
@@ -47,12 +40,12 @@ logging.getLogger(SdoClient.__module__).setLevel(logging.CRITICAL)
 
 def _used_bytes(first: int) -> int:
     """Return the length of an answer without its unused bytes, by its first byte."""
-    kind = first >> 5
-    if kind == _SEGMENT:
+    kind = first & 0xE0
+    if kind == sdo.RESPONSE_SEGMENT_UPLOAD:
         return _SDO_BYTES - (first >> 1 & 7)
-    if kind == _UPLOAD and first & 3 == 3:  # expedited, with its size
+    if kind == sdo.RESPONSE_UPLOAD and first & 3 == sdo.EXPEDITED | sdo.SIZE_SPECIFIED:
         return _SDO_BYTES - (first >> 2 & 3)
-    return {_SEGMENT_DONE: 1, _DONE: 4}.get(kind, _SDO_BYTES)
+    return {sdo.RESPONSE_SEGMENT_DOWNLOAD: 1, sdo.RESPONSE_DOWNLOAD: 4}.get(kind, _SDO_BYTES)
 
 
 class SdoNotAnswered(SdoCommunicationError):
@@ -110,7 +103,7 @@ class PolledSdoClient(SdoClient):
         try:
             return self[name].raw
         except ObjectRefused as error:
-            if error.__cause__ != SdoAbortedError(_NO_OBJECT):
+            if error.__cause__ != SdoAbortedError(sdo.ABORT_NOT_IN_OD):
                 raise
             return None
 
@@ -130,7 +123,7 @@ class PolledSdoClient(SdoClient):
 
     def send_request(self, request: bytes | bytearray) -> None:
         """Send a request, or an abort, which has no answer."""
-        self._requests += request[0] != _ABORTED
+        self._requests += request[0] != sdo.REQUEST_ABORTED
         super().send_request(request)  # type: ignore[no-untyped-call]
 
     def upload(self, index: int, subindex: int) -> bytes:
@@ -156,7 +149,7 @@ class PolledSdoClient(SdoClient):
             while piece := stream.read(_SEGMENT_BYTES):
                 data += piece
                 if len(data) > MAX_OBJECT_BYTES:
-                    self.abort(_ABORT_OUT_OF_MEMORY)  # type: ignore[no-untyped-call]
+                    self.abort(sdo.ABORT_OUT_OF_MEMORY)  # type: ignore[no-untyped-call]
                     raise SdoCommunicationError(
                         f"the SDO answer has more than {MAX_OBJECT_BYTES} bytes: check the EDS"
                     )
@@ -193,7 +186,7 @@ class PolledSdoClient(SdoClient):
             raise SdoCommunicationError(
                 f"the answer [{response.hex(' ')}] has {len(response)} bytes, expected 8"
             )
-        if response[0] == _ABORTED:
+        if response[0] == sdo.RESPONSE_ABORTED:
             raise SdoAbortedError(int.from_bytes(response[4:8], "little"))
         return response
 
