@@ -41,7 +41,7 @@ class LinkBench:
         if port is not None:
             self.registry.add_hardware(f"servos at {port}")
         stream, clock = open_line(self.simulated.servo_port if port is None else port, rate)
-        self.registry.at_end(stream.close)
+        self.registry.callback(stream.close)
         return stream, clock
 
     @cached_property
@@ -61,5 +61,5 @@ class LinkBench:
             return self.simulated.can_bus, self.simulated.clock
         self.registry.add_hardware(f"control unit at {interface} {channel}")
         bus = open_bus(interface, channel, bitrate=self.config.tactile.bitrate)
-        self.registry.at_end(close_bus, bus)
+        self.registry.callback(close_bus, bus)
         return bus, time

@@ -25,23 +25,21 @@ class FaultTarget(Protocol):
         """Inject a fault; an unknown fault is refused with a list of all faults."""
 
 
-class FaultRegistry:
-    """Keeps the simulated cells of a test, and finds the cell for a fault."""
+class FaultRegistry(ExitStack):
+    """Keeps the simulated cells of a test, and finds the cell for a fault.
+
+    Its end clears the faults and ends the cells, the last one first.
+    """
 
     def __init__(self) -> None:
+        super().__init__()
         self._targets: list[FaultTarget] = []
         self._hardware: list[str] = []
-        self._faults: list[FaultHandle] = []
-        self._closing = ExitStack()
 
     def add(self, target: FaultTarget, end: Callable[[], Any]) -> None:
-        """Add a simulated cell of this test; ``end`` ends it when all faults are cleared."""
+        """Add a simulated cell of this test; ``end`` ends it."""
         self._targets.append(target)
-        self.at_end(end)
-
-    def at_end(self, call: Callable[..., Any], *arguments: Any) -> None:
-        """Make a call when all faults are cleared, before the calls that were added earlier."""
-        self._closing.callback(call, *arguments)
+        self.callback(end)
 
     def add_hardware(self, name: str) -> None:
         """Register real hardware: from now on every fault is refused."""
@@ -84,11 +82,5 @@ class FaultRegistry:
         elif into not in self._targets:
             pytest.fail(f"fault {text!r}: {into!r} is not a simulated cell of this test")
         fault = into.inject(text)
-        self._faults.append(fault)
+        self.callback(fault.clear)
         return fault
-
-    def close(self) -> None:
-        """End all faults, the last one first, then all cells."""
-        with self._closing:
-            while self._faults:
-                self._faults.pop().clear()

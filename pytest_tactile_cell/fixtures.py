@@ -104,9 +104,8 @@ def cell_config(request: pytest.FixtureRequest) -> "CellConfig":
 @pytest.fixture
 def cell_faults() -> Iterator[FaultRegistry]:
     """Keep the simulated cells of this test and the faults in them; tests use inject_fault."""
-    registry = FaultRegistry()
-    yield registry
-    registry.close()
+    with FaultRegistry() as registry:
+        yield registry
 
 
 @pytest.fixture

@@ -40,7 +40,7 @@ class _Board(Board):
 
     def __init__(self, finger: int, profile: Profile, *, rows_along: bool) -> None:
         self.stream = FrameStream(profile)
-        self._shape, self._rows_along = (profile.rows, profile.columns), rows_along
+        self._shape, self._rows_along = profile, rows_along
         self._changes: deque[bool] = deque(maxlen=_LIVELY_FRAMES)
         super().__init__(f"the board of finger {finger}")
 
@@ -95,12 +95,12 @@ class _Board(Board):
 
 def check_layout(layout: TaxelLayout, profile: Profile, *, rows_along: bool) -> None:
     """Raise LayoutError where a layout has other pads than two of the profile's size."""
-    shape = (profile.rows, profile.columns)
-    wanted = shape if rows_along else shape[::-1]
+    wanted = profile if rows_along else profile[::-1]
     if [(pad.rows, pad.columns) for pad in layout.pads] != [wanted, wanted]:
         raise LayoutError(
-            f"layout {layout.name} does not fit two boards of {shape[0]} x {shape[1]}: it needs "
-            f"two inner pads of {wanted[0]} rows along the finger and {wanted[1]} columns across it"
+            f"layout {layout.name} does not fit two boards of {profile.rows} x {profile.columns}: "
+            f"it needs two inner pads of {wanted[0]} rows along the finger and {wanted[1]} columns "
+            "across it"
         )
 
 

@@ -5,8 +5,8 @@ and ``AA 55`` may occur inside. So an offset counts only if each frame has a hea
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,8 +24,7 @@ _AMBIGUOUS_FRAMES = 20
 """Frames after which several remaining offsets are a static picture, not chance. [chosen]"""
 
 
-@dataclass(frozen=True, slots=True)
-class Profile:
+class Profile(NamedTuple):
     """Size of the matrix that a board sends."""
 
     rows: int
