@@ -131,7 +131,6 @@ class BulkSlcanBus(slcanBus):
 
     def __init__(self, channel: str, *, bitrate: int) -> None:
         self._messages: deque[can.Message] = deque()
-        self._passing_over = False
         self._passive = False
         self._flags_due_s = time.monotonic()
         self._flags_unanswered = 0
@@ -165,16 +164,9 @@ class BulkSlcanBus(slcanBus):
         return (self._messages.popleft() if self._messages else None), False
 
     def _split(self) -> None:
-        """Split received data into complete lines; the end of an overlong line is bad, too."""
+        """Split received data into complete lines; of an overlong one the begin is kept."""
         *lines, rest = self._buffer.replace(b"\a", b"\r").split(b"\r")
-        self._buffer = bytearray(rest)
-        if lines and self._passing_over:
-            del lines[0]
-            self._passing_over = False
-        if len(rest) > _LONGEST_LINE or self._passing_over:
-            self.bad_lines += not self._passing_over
-            self._buffer.clear()
-            self._passing_over = True
+        self._buffer = bytearray(rest[: _LONGEST_LINE + 1])
         for line in lines:
             text = line.decode("ascii", errors="replace")
             if flags := _FLAGS.fullmatch(text):
@@ -182,7 +174,7 @@ class BulkSlcanBus(slcanBus):
             elif (message := _message_of(text)) is not None:
                 self._messages.append(message)
             else:  # other lines answer commands
-                self.bad_lines += text[:1] in _MESSAGE_KINDS
+                self.bad_lines += text[:1] in _MESSAGE_KINDS or len(text) > _LONGEST_LINE
 
     def _ask_for_flags(self) -> None:
         now_s = time.monotonic()

@@ -109,8 +109,6 @@ class ThreadedReceiver(PolledSource):
 
     def start(self) -> None:
         """Start the thread; earlier messages of the bus are discarded."""
-        if self._thread is not None and self._thread.is_alive():
-            raise ReceiveLoopDead("the receive thread runs already; close the link first")
         PolledSource(self._bus, self._clock).start()
         self._queue.clear()
         self._stop.clear()

@@ -191,7 +191,7 @@ def test_a_line_that_is_not_whole_is_no_message(terminal, line) -> None:
 
 
 def test_the_end_of_an_overlong_line_is_no_message(terminal) -> None:
-    parts = [b"x" * 40, b"t1811AA\r", b"t1821BB\r"]
+    parts = [b"?" * 40, b"t1811AA\r", b"t1821BB\r"]
     assert received(*terminal, parts) == [(0x182, False, b"\xbb")]
     assert terminal[1].bad_lines == 1
 

@@ -96,8 +96,6 @@ def test_an_error_in_the_thread_is_a_fault_every_time(bus, error, fault) -> None
     receiver.close()
     receiver.start()
     assert receiver.drain() == []
-    with pytest.raises(ReceiveLoopDead, match="runs already"):
-        receiver.start()
     receiver.close()
 
 
