@@ -14,7 +14,6 @@ from simulator.cell import SimulatedCell
 from simulator.clock import VirtualClock
 from tactile.control_unit.node import TactileLink
 from tactile.control_unit.settings import LinkSettings
-from tactile.errors import LinkFault
 from tactile.layout import TaxelLayout, paper_layout
 from tactile.sensor.calibration import Calibration
 from tactile.source import ForceMessage, FrameSource, TactileFrame
@@ -117,31 +116,6 @@ def run(cell: SimulatedCell, source: FrameSource, seconds: float) -> list[Tactil
         cell.clock.sleep(0.005)
         frames += source.poll().frames
     return frames
-
-
-def assert_latches(
-    cell: SimulatedCell,
-    source: FrameSource,
-    fault: str,
-    error: type[LinkFault],
-    named: str,
-    *,
-    limit_s: float,
-) -> None:
-    """Fail unless a fault of boards is raised in time, by each call until a new start."""
-    source.start()
-    run(cell, source, 1.0)
-    began_s = cell.clock.monotonic()
-    injected = cell.inject(fault)
-    with pytest.raises(error, match=named):
-        run(cell, source, 3.0)
-    assert cell.clock.monotonic() - began_s < limit_s
-    with pytest.raises(error, match=named):
-        source.poll()
-    injected.clear()
-    source.stop()
-    source.start()
-    assert run(cell, source, 0.2)
 
 
 @pytest.fixture

@@ -229,48 +229,31 @@ def swapped(m: Stream) -> Stream:
 @pytest.mark.parametrize(
     ("stream", "handed_out", "counted"),
     [
-        pytest.param(
+        # The counter turns.
+        (
             [m for c in range(65530, 65546) for m in burst(c & 0xFFFF)],
             [c & 0xFFFF for c in range(65530, 65546)],
             {"complete": 16, "lost": 0, "torn": 0},
-            id="counter turns",
         ),
-        pytest.param(
+        (
             [*burst(0), *burst(1), *without(burst(2), 17), *burst(3), *burst(6), *burst(7)],
             [0, 1, 3, 6, 7],
             {"lost": 3, "torn": 1},
-            id="lost and torn",
         ),
-        pytest.param(
+        # Completed while the next one arrives, and later.
+        (
             [*without(burst(0), 40), *burst(1)[:20], burst(0)[40], *burst(1)[20:]],
             [0, 1],
             {"reordered": 1, "torn": 0},
-            id="completed while the next one arrives",
         ),
-        pytest.param(
-            [*without(burst(0), 40), *burst(1), burst(0)[40], *burst(2)],
-            [1, 2],
-            {},
-            id="later than the next frame",
-        ),
-        pytest.param(swapped(burst(9)), [9], {"reordered": 1, "duplicate": 3}, id="swapped"),
-        pytest.param([*burst(9), *burst(8), *burst(9, 77)], [9], {"stale": 2}, id="stale"),
-        pytest.param(
-            [*(burst(0)[0][:n] for n in (0, 1, 3, 7)), *burst(0)], [0], {"short": 4}, id="short"
-        ),
-        pytest.param([bytes([59]) + bytes(7)], [], {"corrupt": 1}, id="beyond the burst"),
-        pytest.param(
-            [*burst(4)[:58], burst(4)[58][:7] + b"\0", *burst(5)],
-            [5],
-            {"corrupt": 1},
-            id="wrong CRC",
-        ),
-        pytest.param(
-            [bytes([m[0] ^ 1 << PHASE_SHIFT]) + m[1:] for m in burst(4)],
-            [],
-            {"corrupt": 1},
-            id="another phase",
-        ),
+        ([*without(burst(0), 40), *burst(1), burst(0)[40], *burst(2)], [1, 2], {}),
+        (swapped(burst(9)), [9], {"reordered": 1, "duplicate": 3}),
+        ([*burst(9), *burst(8), *burst(9, 77)], [9], {"stale": 2}),
+        ([*(burst(0)[0][:n] for n in (0, 1, 3, 7)), *burst(0)], [0], {"short": 4}),
+        # Beyond the burst, with a wrong CRC, of another phase.
+        ([bytes([59]) + bytes(7)], [], {"corrupt": 1}),
+        ([*burst(4)[:58], burst(4)[58][:7] + b"\0", *burst(5)], [5], {"corrupt": 1}),
+        ([bytes([m[0] ^ 1 << PHASE_SHIFT]) + m[1:] for m in burst(4)], [], {"corrupt": 1}),
     ],
 )
 def test_what_is_handed_out_and_counted(stream: Stream, handed_out, counted) -> None:

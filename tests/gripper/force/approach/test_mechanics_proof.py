@@ -117,14 +117,6 @@ def test_a_zero_that_reads_too_open_by_less_is_met_as_an_obstruction(make_starte
 
 
 @pytest.mark.slow
-def test_an_offset_that_lets_the_fingers_meet_nothing_is_a_wrong_zero(make_started) -> None:
-    cell = make_started(offset_m=-0.004, present=False)
-    cell.gripper.open()
-    with pytest.raises(MechanicsContradicted, match="found nothing"):
-        cell.gripper.grasp(RAMP)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("aperture_m", [0.0, 0.052])
 def test_a_pinion_opens_from_each_part_of_its_turn_and_grips_wide_parts(
     make_started, aperture_m

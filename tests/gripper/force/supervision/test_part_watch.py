@@ -11,7 +11,6 @@ from gripper.force.ramp import ForceRamp
 from gripper.force.supervision.part_watch import PartWatch
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
-from gripper.values.state import GripperPhase
 from tests.gripper.force.grips import PERIOD_S, STATE, make_grip, make_period
 
 
@@ -194,17 +193,6 @@ def test_a_soft_part_that_noise_shows_early_is_not_lost_before_it_is_held() -> N
 
 
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
-
-
-def test_a_part_taken_away_in_the_ramp_is_lost_with_the_third_frame(started) -> None:
-    take = started.once(lambda: setattr(started.part, "present", False), at_n=3.0)
-    outcome = started.gripper.grasp(ForceRamp.linear(8.0, rate_n_s=5.0), take)
-    assert outcome.result is GraspResult.PART_LOST
-    assert started.gripper.phase is GripperPhase.IDLE
-    assert started.clock.monotonic() - started.acted_s[0] < 0.09
-    stopped_m = started.mechanics.aperture_m
-    started.clock.sleep(1.0)
-    assert stopped_m - started.mechanics.aperture_m < 0.003
 
 
 @pytest.mark.slow
