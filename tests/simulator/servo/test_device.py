@@ -90,6 +90,8 @@ def test_writing_the_mode_resets_gains_profiles_and_goals(bench):
         0,
     ]
     assert bench.gets(1, "pwm_limit", "goal_pwm", "goal_current") == [885, 885, 300]
+    bench.put(1, pwm_limit=500, operating_mode=16)
+    assert bench.gets(1, "pwm_limit", "goal_pwm") == [500, 500]
 
 
 @pytest.mark.parametrize(
@@ -116,11 +118,6 @@ def test_only_the_330_size_has_a_pwm_slope(model, error):
         assert bench.motors[0].command.slope_raw == 70
 
 
-def test_the_pwm_limit_survives_other_modes(bench):
-    bench.put(1, pwm_limit=500, operating_mode=16)
-    assert bench.get(1, "pwm_limit") == bench.get(1, "goal_pwm") == 500
-
-
 def test_the_realtime_tick_counts_ms_and_wraps(bench):
     bench.clock.sleep(1.0)
     first = bench.get(1, "realtime_tick")
@@ -131,10 +128,14 @@ def test_the_realtime_tick_counts_ms_and_wraps(bench):
     assert servo.read(120, 2, 32.768).data == bytes(2)
 
 
-def test_reverse_mode_mirrors_the_position():
+def test_reverse_mode_mirrors_position_and_motion():
     plain = ServoBench().get(1, "present_position")
     reverse = ServoBench(settings={"drive_mode": 1, "operating_mode": 4})
     assert reverse.get(1, "present_position") == (-plain) % 4096
+    reverse.put(1, operating_mode=1, torque_enable=1, goal_velocity=40)
+    reverse.clock.sleep(0.1)
+    assert reverse.motors[0].velocity_rad_s < 0.0
+    assert reverse.get(1, "present_velocity") == pytest.approx(40, abs=4)
 
 
 def multi_turn():
@@ -418,14 +419,6 @@ def test_the_profile_reaches_the_motor_but_not_in_mode_5_of_the_330_size(model, 
     assert command.profile_acceleration_rad_s2 == obeyed * 20 * XM430_W350.acceleration_unit_rad_s2
 
 
-def test_reverse_mode_turns_the_motor_the_other_way():
-    pressing = ServoBench(settings={"operating_mode": 1, "drive_mode": 1})
-    pressing.put(1, torque_enable=1, goal_velocity=40)
-    pressing.clock.sleep(0.1)
-    assert pressing.motors[0].velocity_rad_s < 0.0
-    assert pressing.get(1, "present_velocity") == pytest.approx(40, abs=4)
-
-
 # Bus watchdog
 
 
@@ -516,19 +509,16 @@ def test_a_latched_error_drops_the_torque_until_a_reboot(pressing, provoke, bits
     assert pressing.get(1, "hardware_error_status") == 0
 
 
-@pytest.mark.parametrize("voltage_v", [9.0, 16.5])
-def test_a_wrong_supply_alerts_but_keeps_the_torque_by_default(pressing, voltage_v: float):
-    pressing.motors[0].voltage_v = voltage_v
-    pressing.clock.sleep(0.01)
-    error, data = pressing.ask(1, Instruction.READ, bytes((144, 0, 2, 0)))
+@pytest.mark.parametrize(
+    ("model", "voltage_v", "torque"),
+    [(XM430_W350, 9.0, 1), (XM430_W350, 16.5, 1), (XL330_M288, 3.0, 0)],
+)
+def test_a_wrong_supply_alerts_and_ends_the_torque_of_the_330_size(model, voltage_v, torque):
+    bench = ServoBench(model=model)
+    bench.put(1, torque_enable=1)
+    bench.motors[0].voltage_v = voltage_v
+    bench.clock.sleep(0.01)
+    error, data = bench.ask(1, Instruction.READ, bytes((144, 0, 2, 0)))
     assert (error, int.from_bytes(data, "little")) == (ALERT, round(10 * voltage_v))
-    assert pressing.get(1, "torque_enable") == 1
-    assert pressing.write(1, 0, 2, 0) == ALERT | 7
-
-
-def test_the_xl330_shuts_down_on_a_wrong_supply():
-    pressing = ServoBench(model=XL330_M288)
-    pressing.put(1, torque_enable=1)
-    pressing.motors[0].voltage_v = 3.0
-    pressing.clock.sleep(0.01)
-    assert pressing.get(1, "torque_enable") == 0
+    assert bench.get(1, "torque_enable") == torque
+    assert bench.write(1, 0, 2, 0) == ALERT | ACCESS

@@ -84,16 +84,6 @@ def test_the_velocity_loop_does_not_wind_up_beyond_the_stall_current(motor):
     assert motor.current_a < XM430_W350.stall_current_a / 2
 
 
-def test_the_d_gain_brakes():
-    def current_a(d_gain: int) -> float:
-        motor = ServoMotor(angle_rad=1.0)
-        motor.velocity_rad_s = 1.0
-        stall(motor, DriveCommand(Mode.POSITION, position_rad=1.0, d_gain=d_gain))
-        return motor.current_a
-
-    assert current_a(1000) < current_a(0) < 0.0
-
-
 COUNT = XM430_W350.rad_per_pulse
 
 
@@ -386,16 +376,6 @@ def test_linkages_invert_and_differentiate(linkage, half_m: float):
     assert linkage.half_opening_m(angle) < linkage.half_opening_max_m
 
 
-def test_start_positions_and_directions():
-    mechanics = fingers(aperture_m=0.04)
-    theta = math.asin(0.02 / 0.06)
-    first, second = mechanics.motors
-    assert first.angle_rad == pytest.approx(2048 * XM430_W350.rad_per_pulse + theta)
-    assert second.angle_rad == pytest.approx(2048 * XM430_W350.rad_per_pulse - theta)
-    assert mechanics.finger_position_m == pytest.approx((0.02, 0.02))
-    assert mechanics.aperture_m == pytest.approx(0.04)
-
-
 @pytest.mark.parametrize("count", [1, 2])
 def test_closing_current_gives_the_force_of_the_torque_fit(count: int):
     mechanics = fingers(count)
@@ -428,17 +408,6 @@ def test_unloading_holds_more_by_twice_the_friction_and_that_of_the_load(share: 
     assert loading_n == pytest.approx((1.769 * 0.5 - 0.2214) / slope, rel=0.06)
     most_n = (1.0 + share) / (1.0 - share) * (1.769 * 0.5 + 0.2214) / slope
     assert unloading_n - loading_n == pytest.approx(most_n - loading_n, rel=0.12)
-
-
-def test_below_the_friction_band_nothing_moves():
-    mechanics = fingers()
-    before = mechanics.finger_position_m
-    push(mechanics, 0.13)
-    press(mechanics, 0.0, 0.0, 1.0)
-    assert mechanics.finger_position_m == before
-    push(mechanics, 0.15)
-    press(mechanics, 0.0, 0.0, 0.2)
-    assert mechanics.aperture_m < 0.04
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 rustypot and the vendor's own package; `test_manual_dialogue` has a third encoder of packets.
 """
 
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -44,14 +43,6 @@ def test_a_ping_and_sync_reads_of_bytes_like_a_header(driver: Any, rusty: Any) -
     registers(driver, 2).put("goal_position", -131073)
     blocks = rusty.sync_read_raw_data([1, 2], 116, 4)
     assert [bytes(block) for block in blocks] == [LOOKS_LIKE_A_HEADER] * 2
-
-
-def test_alert_and_access_errors(driver: Any, rusty: Any) -> None:
-    driver.bench.servos[1].injected_error = 0x20
-    driver.bench.device.advance_to(time.monotonic())
-    answers = rusty.sync_read_raw_data_with_error([1, 2], 132, 4)
-    assert [error for _, error in answers] == [0, 0x80]
-    assert [error for _, error in rusty.sync_read_raw_data_with_error([1], 71, 1)] == [7]
 
 
 def test_the_vendors_package_reads_and_writes(driver: Any, monkeypatch: pytest.MonkeyPatch) -> None:

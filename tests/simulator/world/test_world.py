@@ -295,16 +295,6 @@ def test_a_linear_sensor_counts_in_proportion() -> None:
     assert ideal_counts(np.array([0.0, 1.0, 4.0]), 4095, law) == pytest.approx([0, 1023.75, 4095])
 
 
-@pytest.mark.parametrize("pad", [paper_layout().pads[0], pinch_layout().pads[1]])
-def test_no_force_is_lost_on_the_way_to_the_taxels(pad) -> None:
-    grid = PressureGrid(pad, Foam())  # type: ignore[arg-type]
-    rng = np.random.default_rng(1)
-    pressure_pa = rng.uniform(0.0, 1e5, (grid.x_m.size, grid.y_m.size))
-    force_n = grid.taxel_force_n(pressure_pa, grid.shares(ALL))
-    assert force_n.sum() == pytest.approx(pressure_pa.sum() * grid.cell_area_m2, rel=1e-12)
-    assert force_n.min() > 0.0
-
-
 def test_a_point_spreads_as_a_gaussian() -> None:
     pad = pinch_layout().pads[0]
     grid = PressureGrid(pad, Foam(spread_m=1.5e-3))
