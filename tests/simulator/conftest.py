@@ -1,19 +1,12 @@
 """Benches that several tests of the simulator share."""
 
-import select
-import threading
-import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
-from functools import partial
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 
 import pytest
 
 from gripper.dynamixel.control_table import REGISTERS
 from gripper.dynamixel.models import XM430_W350, ServoModel
 from simulator.clock import VirtualClock
-from simulator.realtime.terminals import SerialPty
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, ServoMount
@@ -26,8 +19,6 @@ def encode_instruction(servo_id: int, instruction: int, parameters: bytes = b"")
     return encode_packet(servo_id, bytes((instruction,)) + parameters)
 
 
-FINGERS = partial(FingerMechanics, linkage=ParallelogramLinkage(), aperture_m=0.06)
-
 
 class ServoBench:
     """Servos on a bus in memory; the fingers of one or two move as the clock is slept on."""
@@ -39,14 +30,14 @@ class ServoBench:
         model: ServoModel = XM430_W350,
         settings: Mapping[str, int] | None = None,
         baudrate: int = 1_000_000,
-        motor: Callable[[ServoModel], ServoMotor] = ServoMotor,
-        fingers: Callable[..., FingerMechanics] = FINGERS,
     ) -> None:
         self.clock = VirtualClock()
-        self.motors = [motor(model) for _ in ids]
+        self.motors = [ServoMotor(model) for _ in ids]
         self.force_n = (0.0, 0.0)
         mounts = [ServoMount(direction=1), ServoMount(direction=-1)][: len(ids)]
-        self.mechanics = fingers(self.motors, mounts)
+        self.mechanics = FingerMechanics(
+            self.motors, mounts, ParallelogramLinkage(), aperture_m=0.06
+        )
         defaults = {"baud_rate": 3, "return_delay_time": 0}
         self.servos = [
             SimulatedServo(i, model, motor, settings={**defaults, **(settings or {})})
@@ -114,39 +105,3 @@ class ServoBench:
 def bench() -> ServoBench:
     """Two XM430-W350 as they come."""
     return ServoBench()
-
-
-class Driver:
-    """Serves a servo terminal from a thread until it is stopped."""
-
-    def __init__(self, bench: ServoBench, link_path: Path) -> None:
-        self.bench = bench
-        self.endpoint = SerialPty(bench.device, link_path)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._serve)
-        self._thread.start()
-
-    def _serve(self) -> None:
-        due_s: float | None = None
-        while not self._stop.is_set():
-            now_s = time.monotonic()
-            wait_s = 0.05 if due_s is None else min(max(due_s - now_s, 0.0), 0.05)
-            select.select([self.endpoint], [], [], wait_s)
-            due_s = self.endpoint.poll(time.monotonic())
-
-    def stop(self) -> None:
-        self._stop.set()
-        self._thread.join()
-        self.endpoint.close()
-
-
-@pytest.fixture
-def serve(tmp_path: Path, undo: ExitStack) -> Callable[..., Driver]:
-    """Return what puts a bench on a pseudo-terminal; takes what `ServoBench` takes."""
-
-    def make(**options: object) -> Driver:
-        driver = Driver(ServoBench(**options), tmp_path / "servos")
-        undo.callback(driver.stop)
-        return driver
-
-    return make

@@ -509,9 +509,10 @@ def test_a_self_zero_ties_the_opening_of_what_was_taught_from_drawings(train, fr
 
 @pytest.mark.slow
 def test_what_was_taught_without_a_self_zero_leaves_all_without(train, fresh) -> None:
-    zeroed = [replace(g, zero=NO_DRIFT) for g in train]
-    newer = [replace(g, zero=drawn_zero(), source=DRAWING_SOURCE, start_ms=2**40) for g in train]
+    two = [g for g in train if g.label in ("bar", "egg")]
+    zeroed = [replace(g, zero=NO_DRIFT) for g in two]
+    newer = [replace(g, zero=drawn_zero(), source=DRAWING_SOURCE, start_ms=2**40) for g in two]
     assert make_trainer("force_ramp").fit([*zeroed, *newer]).zero == NO_DRIFT
-    some = make_trainer("force_ramp").fit([*train[:1], *zeroed[1:]])
+    some = make_trainer("force_ramp").fit([*two[:1], *zeroed[1:]])
     assert some.zero is None
     assert some.grid_at(replace(fresh[0], zero=NO_DRIFT)) is some.grid

@@ -123,14 +123,11 @@ def test_an_object_without_any_surface_stays_without_a_level(rng):
         LevelCheckTrainer().fit(spoilt)
 
 
-def test_the_trainer_says_what_it_is_and_refuses_what_does_not_teach():
-    trainer = LevelCheckTrainer()
-    assert (trainer.name, trainer.uses_aperture) == ("level_check", False)
+def test_it_never_uses_the_opening_and_refuses_what_does_not_teach(rng):
     assert not LevelCheckTrainer(use_aperture=True).uses_aperture
-    with pytest.raises(ValueError, match="no grasps"):
-        trainer.fit([])
-    with pytest.raises(ValueError, match="no label"):
-        trainer.fit([_grasp(PINCH, 0.5, np.random.default_rng(0))])
+    for grasps, says in (([], "no grasps"), ([_grasp(PINCH, 0.5, rng)], "no label")):
+        with pytest.raises(ValueError, match=says):
+            LevelCheckTrainer().fit(grasps)
 
 
 # --- the level of one grasp -----------------------------------------------------------------

@@ -3,21 +3,51 @@
 rustypot and the vendor's own package; `test_manual_dialogue` has a third encoder of packets.
 """
 
+import select
+import threading
+import time
 from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import dynamixel_sdk
 import pytest
 import rustypot
 
+from simulator.realtime.terminals import SerialPty
+from tests.simulator.conftest import ServoBench
+
 TIMEOUT_S = 10.0
 """Patience in s with an answer: other tests run beside this one."""
 LOOKS_LIKE_A_HEADER = bytes.fromhex("FFFFFDFF")
 
 
+@dataclass
+class Driver:
+    """Servos behind a terminal."""
+
+    bench: ServoBench
+    endpoint: SerialPty
+
+
 @pytest.fixture
-def driver(serve: Any) -> Any:
-    return serve(settings={"operating_mode": 5})
+def driver(tmp_path: Path) -> Iterator[Driver]:
+    """Two servos, whose terminal a thread serves."""
+    bench, ended = ServoBench(settings={"operating_mode": 5}), threading.Event()
+    endpoint = SerialPty(bench.device, tmp_path / "servos")
+
+    def serve() -> None:
+        while not ended.is_set():
+            select.select([endpoint], [], [], 0.001)
+            endpoint.poll(time.monotonic())
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    yield Driver(bench, endpoint)
+    ended.set()
+    thread.join()
+    endpoint.close()
 
 
 @pytest.fixture

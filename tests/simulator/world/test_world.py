@@ -216,9 +216,6 @@ def test_an_object_goes_only_between_open_fingers(bench) -> None:
     assert bench.world.place("box", ObjectPose(roll_rad=1.5)).roll_rad == 0.5 * math.pi
 
 
-LAYOUT = pinch_layout()
-
-
 # -- The foam of the pads, and taxels on it: pressure, spread, counts, noise -----------------------
 
 
@@ -269,9 +266,6 @@ def test_the_stiffness_is_the_slope_of_the_force() -> None:
         assert further_n - force_n == pytest.approx(1e-6 * stiffness_n_m, rel=1e-6)
     assert table.lookup(0.0) == (0.0, 0.0)
     assert table.lookup(-1.0) == (0.0, 0.0)
-
-
-ALL = (slice(None), slice(None))
 
 
 def test_the_resistance_is_equation_11() -> None:

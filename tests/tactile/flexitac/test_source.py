@@ -10,7 +10,7 @@ import pytest
 from simulator.boards.flexitac import FlexiTacSettings
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
-from tactile.errors import FrameTimeout, LayoutError, LinkFault, LinkStateError, NodeMissing
+from tactile.errors import FrameTimeout, LayoutError, LinkFault, NodeMissing
 from tactile.flexitac.source import FlexiTacSource
 from tactile.flexitac.stream import HEADER, PROFILES, FrameStream
 from tactile.layout import LAYOUTS, TaxelLayout
@@ -34,17 +34,6 @@ def source(cell: SimulatedCell) -> FlexiTacSource:
 def make_source(cell: SimulatedCell, **changes: object) -> FlexiTacSource:
     values = {"profile": PROFILES["12x32"], "layout": LAYOUT, "clock": cell.clock} | changes
     return FlexiTacSource([partial(cell.open_board, n) for n in (0, 1)], **values)  # type: ignore[arg-type]
-
-
-def test_frames_come_at_the_rate_of_the_slower_board_with_fresh_times(cell, source) -> None:
-    assert source.start().name == "FlexiTac"
-    frames = run(cell, source, 2.0)
-    assert 2 * 88 <= len(frames) <= 2 * 112
-    assert [one.counter for one in frames] == list(range(frames[0].counter, frames[-1].counter + 1))
-    assert all(one.counts.shape == (768,) and 5 < one.counts.min() < 45 for one in frames)
-    assert all(one.t_s - one.scanned_s <= 0.012 for one in frames)
-    stats = source.statistics
-    assert (stats.frames.torn, stats.frames.duplicate, stats.recent_loss_rate) == (0, 0, 0.0)
 
 
 def test_a_square_board_may_sit_either_way() -> None:
@@ -130,9 +119,7 @@ def test_a_saturated_taxel_is_in_the_status(cell, source) -> None:
     assert run(cell, source, 0.1)[-1].status == FrameStatus.SATURATED
 
 
-def test_a_board_that_is_not_there_or_not_started(cell, source) -> None:
-    with pytest.raises(LinkStateError):
-        source.poll()
+def test_a_board_that_is_not_there_or_sends_nothing(cell, source) -> None:
     injected = cell.inject("board.unplugged=0")
     with pytest.raises(NodeMissing, match="finger 0"):
         source.start()
