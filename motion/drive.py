@@ -1,8 +1,9 @@
 """CiA 402 drives on a CAN bus: state machine, profile position, homing, quick stop, supervision.
 
 All access is by SDO: it needs no PDO mapping, and each write is confirmed. A moving drive is polled
-some hundred times a second, a standing one is not polled. canopen's own profile 402
-(`canopen.profiles.p402`) waits by the computer's clock, and has no set-point and no limits.
+some hundred times a second, a standing one is not polled. States and controlwords are those of
+canopen's profile 402. Its node is not used: it waits by the computer's clock, and has no set-point
+and no limits.
 """
 
 import math
@@ -15,10 +16,11 @@ from typing import Any
 import can
 import canopen
 from canopen.nmt import NMT_COMMANDS, NMT_STATES
+from canopen.profiles.p402 import State402
 
 from motion import errors, object_dictionary as od
 from motion.axes import POLL_S, Axis, AxisSettings, Watch
-from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, Status
+from motion.object_dictionary import HomingMethod, ModeOfOperation, Status
 from tactile.can.receiver import PolledSource, of_another_kind
 from tactile.can.sdo_client import PolledSdoClient, SdoNotAnswered
 from tactile.errors import LinkFault, NodeMissing, ObjectRefused
@@ -53,15 +55,15 @@ _ANSWER_REMEDY = (
     "the drive is another one than CiA 402 describes, or somebody else sends with its node-ID. "
     "Check drive, firmware and node-IDs"
 )
-_QUICK_STOP_REQUEST = struct.pack("<BHBHH", 0x2B, 0x6040, 0, Control.QUICK_STOP, 0)
+_QUICK_STOP_REQUEST = struct.pack("<BHBHH", 0x2B, 0x6040, 0, State402.CW_QUICK_STOP, 0)
 """SDO request that writes a controlword of two bytes (CiA 301, 7.2.4.3.3)."""
 
 _NEXT = {
-    "SWITCH ON DISABLED": Control.SHUTDOWN,
-    "READY TO SWITCH ON": Control.SWITCH_ON,
-    "SWITCHED ON": Control.ENABLE_OPERATION,
+    "SWITCH ON DISABLED": State402.CW_SHUTDOWN,
+    "READY TO SWITCH ON": State402.CW_SWITCH_ON,
+    "SWITCHED ON": State402.CW_OPERATION_ENABLED,
     # The direct way back, transition 16, is optional (CiA 402-2).
-    "QUICK STOP ACTIVE": Control.DISABLE_VOLTAGE,
+    "QUICK STOP ACTIVE": State402.CW_DISABLE_VOLTAGE,
 }
 """Controlword that leads from each state towards OPERATION ENABLED."""
 _AT_FAULT = ("FAULT", "FAULT REACTION ACTIVE")
@@ -224,7 +226,7 @@ class Cia402Drive(Axis):
         )
         if self._state() == "OPERATION ENABLED":
             # It may still move: a silent drive could not be stopped.
-            self._write("Controlword", Control.QUICK_STOP)
+            self._write("Controlword", State402.CW_QUICK_STOP)
             braking_s = self.settings.velocity / self.settings.acceleration
             self._until(self.standing, "does not stop", timeout_s=_STATE_S + braking_s)
         self._set_up()
@@ -261,9 +263,9 @@ class Cia402Drive(Axis):
         self._bus.beat()
         self._write("Target position", target)
         self._target = target
-        self._write("Controlword", Control.NEW_SET_POINT)
+        self._write("Controlword", od.NEW_SET_POINT)
         self._until(lambda: bool(self._status() & Status.ACKNOWLEDGED), "takes no set-point")
-        self._write("Controlword", Control.ENABLE_OPERATION)
+        self._write("Controlword", State402.CW_OPERATION_ENABLED)
         self._until(lambda: not self._status() & Status.ACKNOWLEDGED, "keeps its set-point")
 
     def arrived(self) -> bool:
@@ -382,8 +384,8 @@ class Cia402Drive(Axis):
         if self._state() not in _AT_FAULT:
             return
         fault = od.error_code_text(self._read("Error code"))
-        self._write("Controlword", Control.DISABLE_VOLTAGE)
-        self._write("Controlword", Control.FAULT_RESET)
+        self._write("Controlword", State402.CW_DISABLE_VOLTAGE)
+        self._write("Controlword", State402.CW_SWITCH_ON_DISABLED)  # fault reset
         self._until(
             lambda: self._state() not in _AT_FAULT, f"stays at fault, {fault}: remedy its cause"
         )
@@ -403,7 +405,7 @@ class Cia402Drive(Axis):
         slow = max(1, fast // _ZERO_SPEED_SHARE)
         self._write("Homing speeds.Speed during search for zero", slow)
         self._write("Homing acceleration", counts(settings.acceleration))
-        self._write("Controlword", Control.START_HOMING)
+        self._write("Controlword", od.START_HOMING)
         # The longest travel: from one end to the other, and back from the switch.
         travel_s = 2.0 * (settings.high - settings.low) / settings.homing_velocity
 
@@ -416,7 +418,7 @@ class Cia402Drive(Axis):
 
         failure = "has not found its home: check its switch"
         self._until(attained, failure, errors.HomingFailed, _STATE_S + travel_s)
-        self._write("Controlword", Control.ENABLE_OPERATION)
+        self._write("Controlword", State402.CW_OPERATION_ENABLED)
 
     def _set_mode(self, mode: ModeOfOperation) -> None:
         self._write("Modes of operation", mode)

@@ -1,4 +1,4 @@
-"""Objects of a CiA 402 drive: bits of controlword and statusword, states, error codes.
+"""Objects of a CiA 402 drive: controlwords, bits of the statusword, states, error codes.
 
 The dictionary is ``drive.eds``, and objects have their names in it. The meaning follows CiA 301
 (communication) and CiA 402-2 (drive).
@@ -43,18 +43,10 @@ class HomingMethod(IntEnum):
     HERE = 37
 
 
-class Control(IntEnum):
-    """Controlwords (6040h) for the transitions between states."""
-
-    DISABLE_VOLTAGE = 0x00
-    QUICK_STOP = 0x02
-    SHUTDOWN = 0x06
-    SWITCH_ON = 0x07
-    ENABLE_OPERATION = 0x0F
-    NEW_SET_POINT = 0x3F
-    """Enable operation with the bits 4, new set-point, and 5, change set immediately."""
-    START_HOMING = 0x1F
-    FAULT_RESET = 0x80
+NEW_SET_POINT = State402.CW_OPERATION_ENABLED | 0x30
+"""Controlword (6040h) with the bits 4, new set-point, and 5, change set immediately."""
+START_HOMING = State402.CW_OPERATION_ENABLED | 0x10
+"""Controlword with bit 4, which starts homing in that mode."""
 
 
 class Status(IntFlag):

@@ -16,7 +16,7 @@ from canopen.profiles.p402 import State402
 from canopen.sdo import constants as sdo
 
 from motion import object_dictionary as od
-from motion.object_dictionary import Control, HomingMethod, ModeOfOperation, Status
+from motion.object_dictionary import HomingMethod, ModeOfOperation, Status
 from simulator.can.node import CanopenDevice
 
 STEP_S = 1e-3
@@ -252,7 +252,7 @@ class SimulatedDrive(CanopenDevice):
         elif not low & _SWITCHED_ON_BIT:
             self._switch_off("READY TO SWITCH ON")
         elif self.state != "SWITCH ON DISABLED":
-            if low == Control.SWITCH_ON and self.state == "OPERATION ENABLED":
+            if low == State402.CW_SWITCH_ON and self.state == "OPERATION ENABLED":
                 self.motion.freeze()
             self.state = "OPERATION ENABLED" if low & _ENABLE_BIT else "SWITCHED ON"
         if self.state == "OPERATION ENABLED":

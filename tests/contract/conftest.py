@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 
 import can
 import pytest
+from canopen.profiles.p402 import State402
 
 from cell.build import drive_bus
 from cell.config.file import changed_config, load_config
@@ -29,7 +30,6 @@ from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import REGISTERS, TORQUE_ENABLE, Register
 from gripper.dynamixel.models import XM430_W350
 from gripper.dynamixel.serial_port import ByteStream
-from motion import object_dictionary as od
 from motion.axes import Axes, Watch
 from motion.drive import Cia402Drive, DriveBus
 from pytest_tactile_cell.bench import LinkBench
@@ -289,5 +289,5 @@ def drive(request: pytest.FixtureRequest) -> Iterator[Drive]:
             clock=clock,
             may_move=request.param == "simulator" or request.config.getoption("allow_motion"),
         )
-        device._write("Controlword", od.Control.DISABLE_VOLTAGE)
+        device._write("Controlword", State402.CW_DISABLE_VOLTAGE)
         device._write("Producer heartbeat time", 0)

@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
+from canopen.profiles.p402 import State402
 
 from gripper.dynamixel.control_table import (
     BUS_WATCHDOG,
@@ -28,7 +29,7 @@ from gripper.dynamixel.models import MODELS
 from gripper.errors import BusTimeout, ServoRejected
 from motion import object_dictionary as motion_od
 from motion.errors import AxisNotOperational
-from motion.object_dictionary import Control, ModeOfOperation, state_of
+from motion.object_dictionary import ModeOfOperation, state_of
 from tactile.control_unit import object_dictionary as od
 from tactile.errors import ObjectRefused
 
@@ -344,9 +345,9 @@ def test_an_object_that_is_not_there_is_refused(drive: Any) -> None:
 
 def test_without_power_stage_it_goes_between_two_states(drive: Any) -> None:
     device = drive.device
-    device._write("Controlword", Control.DISABLE_VOLTAGE)
+    device._write("Controlword", State402.CW_DISABLE_VOLTAGE)
     for control, state in zip(
-        (Control.SHUTDOWN, Control.DISABLE_VOLTAGE), READY[::-1], strict=True
+        (State402.CW_SHUTDOWN, State402.CW_DISABLE_VOLTAGE), READY[::-1], strict=True
     ):
         device._write("Controlword", control)
         device._until(lambda state=state: device._state() == state, "does not follow")

@@ -21,7 +21,7 @@ from motion.errors import (
     PositionImplausible,
     PositionNotReached,
 )
-from motion.object_dictionary import Control, HomingMethod
+from motion.object_dictionary import HomingMethod
 from tests.motion.conftest import BOOT_S, NODE, PER_M, DriveBench, MakeDrive
 
 NEAR_M = 5e-5
@@ -98,7 +98,7 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, er
         "dead": lambda: setattr(simulated, "dead", True),
         "reboot": simulated.power_cycle,
         "empty boot-up": lambda: put(bench, arbitration_id=0x700 + NODE),
-        "shut": lambda: simulated._command(Control.SHUTDOWN),
+        "shut": lambda: simulated._command(State402.CW_SHUTDOWN),
         "stopped": lambda: simulated.command("STOPPED", bench.clock.monotonic()),
         "pre-operational": lambda: simulated.command("PRE-OPERATIONAL", bench.clock.monotonic()),
         "twice": lambda: undo.append(bench.second_drive()),
@@ -294,16 +294,11 @@ def test_a_drive_whose_host_is_gone_stops_by_itself(make_drive) -> None:
     assert bench.move(0.0) == pytest.approx(0.0, abs=NEAR_M)
 
 
-def test_states_and_controlwords_are_those_of_canopen() -> None:
+def test_states_are_those_of_canopen() -> None:
     for name, (mask, bits) in State402.SW_MASK.items():
         # Whatever the other bits are, among them "remote" and those of the mode.
         assert od.state_of(bits | ~mask & 0xFFFF) == name
     assert od.state_of(1) == "UNKNOWN"
-    assert State402.CW_OPERATION_ENABLED == Control.ENABLE_OPERATION
-    assert State402.CW_SHUTDOWN == Control.SHUTDOWN
-    assert State402.CW_SWITCH_ON == Control.SWITCH_ON
-    assert State402.CW_QUICK_STOP == Control.QUICK_STOP
-    assert State402.CW_SWITCH_ON_DISABLED == Control.FAULT_RESET
 
 
 @pytest.mark.parametrize(

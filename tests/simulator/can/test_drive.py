@@ -4,10 +4,10 @@ from typing import Any
 
 import canopen
 import pytest
-from canopen.profiles.p402 import BaseNode402
+from canopen.profiles.p402 import BaseNode402, State402
 
 from motion import object_dictionary as od
-from motion.object_dictionary import Control, HomingMethod, Status
+from motion.object_dictionary import NEW_SET_POINT, HomingMethod, Status
 from simulator.can.drive import DriveMount, SimulatedDrive
 
 NODE = 11
@@ -109,12 +109,12 @@ def test_a_set_point_is_taken_at_the_rising_edge_and_acknowledged(bench) -> None
     sdo["Target position"].raw = 4000
     bench.let_pass(0.1)
     assert not bench.drive.moving  # without the edge nothing moves
-    sdo["Controlword"].raw = Control.NEW_SET_POINT
+    sdo["Controlword"].raw = NEW_SET_POINT
     assert sdo["Statusword"].raw & Status.ACKNOWLEDGED
     assert not sdo["Statusword"].raw & Status.TARGET_REACHED
     sdo["Target position"].raw = -4000
-    sdo["Controlword"].raw = Control.NEW_SET_POINT  # no edge: the first target stays
-    sdo["Controlword"].raw = Control.ENABLE_OPERATION
+    sdo["Controlword"].raw = NEW_SET_POINT  # no edge: the first target stays
+    sdo["Controlword"].raw = State402.CW_OPERATION_ENABLED
     assert not sdo["Statusword"].raw & Status.ACKNOWLEDGED
     bench.let_pass(1.0)
     assert sdo["Statusword"].raw & Status.TARGET_REACHED
@@ -125,7 +125,7 @@ def test_a_target_beyond_the_software_limit_ends_at_the_limit(bench) -> None:
     sdo = enabled(bench.witness)
     sdo["Software position limit"][2].raw = 1500
     sdo["Target position"].raw = 4000
-    sdo["Controlword"].raw = Control.NEW_SET_POINT
+    sdo["Controlword"].raw = NEW_SET_POINT
     bench.let_pass(1.0)
     assert sdo["Position actual value"].raw == pytest.approx(1500, abs=2)
 
@@ -136,8 +136,8 @@ def test_a_limit_switch_stops_the_axis_and_lets_it_out(bench, switch) -> None:
 
     def go(target: int) -> None:
         sdo["Target position"].raw = target
-        sdo["Controlword"].raw = Control.NEW_SET_POINT
-        sdo["Controlword"].raw = Control.ENABLE_OPERATION
+        sdo["Controlword"].raw = NEW_SET_POINT
+        sdo["Controlword"].raw = State402.CW_OPERATION_ENABLED
         bench.let_pass(2.0)
 
     go(switch * 20_000)
