@@ -30,10 +30,10 @@ SORTING: dict[str, Any] = {
 }  # fmt: skip
 
 
-def address(served: Served, port: int = 0) -> str:
+def address(served: Served) -> str:
     """Return the address of the page as `serve` prints it."""
     interfaces = served.interfaces
-    return f"http://127.0.0.1:{port or interfaces['http_port']}/#token={interfaces['token']}"
+    return f"http://127.0.0.1:{interfaces['http_port']}/#token={interfaces['token']}"
 
 
 class FakeCell:
@@ -187,7 +187,14 @@ def open_page(browser: Any, request: pytest.FixtureRequest) -> Iterator[Callable
     fake = request.getfixturevalue("cell") if "cell" in request.fixturenames else None
     with ExitStack() as undo:
 
-        def make(url: str = "", *, wide: bool = True, command: bool = False, **options: Any) -> Any:
+        def make(
+            url: str = "",
+            *,
+            wide: bool = True,
+            command: bool = False,
+            line: Any = None,
+            **options: Any,
+        ) -> Any:
             size = {"width": 1400, "height": 900} if wide else {"width": 420, "height": 900}
             context = browser.new_context(**{"viewport": size, "locale": "en-GB"} | options)
             undo.callback(context.close)
@@ -205,6 +212,8 @@ def open_page(browser: Any, request: pytest.FixtureRequest) -> Iterator[Callable
                     else None
                 ),
             )
+            if line is not None:
+                line.join(page)
             page.goto(url or fake.url)
             if command:
                 page.click("#command")

@@ -1,10 +1,7 @@
 """The page in a browser, on a server with any state."""
 
+import json
 import re
-import socket
-import threading
-from collections.abc import Iterator
-from contextlib import suppress
 from typing import Any
 
 import pytest
@@ -412,73 +409,56 @@ def test_a_wrong_token_is_asked_for_again(open_page, cell) -> None:
 
 
 class Line:
-    """Passes bytes on to a port of this machine, from a port of its own."""
+    """The line between a page and the cell, by the browser's own hooks."""
 
-    def __init__(self, to: int) -> None:
-        self.late = threading.Event()
-        """Clear: each piece of an answer waits for `LATE_S`."""
-        self.late.set()
-        self.mute = False
-        """Whether answers are lost on the way."""
-        self._to, self._is_cut, self._links = to, False, set[socket.socket]()
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.port: int = self._listener.getsockname()[1]
-        self._thread = threading.Thread(target=self._serve, daemon=True)
-        self._thread.start()
+    def __init__(self) -> None:
+        self.is_cut = False
+        """Whether all connections end, and no new one begins."""
+        self.is_mute = False
+        """Whether answers and messages are lost on the way."""
+        self.late_s = 0.0
+        """By how much a state is older when it comes."""
+        self.n_jobs = 0
+        """Requests that start a job."""
+        self._live: Any = None
+
+    def join(self, page: Any) -> None:
+        page.route("**/api/**", self._request)
+        page.route_web_socket("**/api/live*", self._link)
 
     def cut(self) -> None:
-        """End all connections, and take none until `mend`."""
-        self._is_cut = True
-        for link in tuple(self._links):
-            with suppress(OSError):
-                link.shutdown(socket.SHUT_RDWR)
+        self.is_cut = True
+        self._live.close()
 
-    def mend(self) -> None:
-        self._is_cut = False
+    def _request(self, route: Any) -> None:
+        if self.is_cut:
+            route.abort()
+            return
+        self.n_jobs += route.request.url.endswith("/api/jobs")
+        answer = route.fetch()
+        route.abort() if self.is_mute else route.fulfill(response=answer)
 
-    def close(self) -> None:
-        self.cut()
-        self._listener.shutdown(socket.SHUT_RDWR)
-        self._thread.join()
-        self._listener.close()
-        until(lambda: not self._links)
+    def _link(self, link: Any) -> None:
+        if self.is_cut:
+            link.close()
+            return
+        self._live = link
+        link.connect_to_server().on_message(lambda message: self._message(link, message))
 
-    def _serve(self) -> None:
-        with suppress(OSError):
-            while True:
-                near, _ = self._listener.accept()
-                if self._is_cut:
-                    near.close()
-                    continue
-                far = socket.create_connection(("127.0.0.1", self._to))
-                self._links |= {near, far}
-                for ends in ((near, far), (far, near)):
-                    threading.Thread(target=self._pass, args=(*ends, near), daemon=True).start()
-
-    def _pass(self, source: socket.socket, sink: socket.socket, near: socket.socket) -> None:
-        with suppress(OSError):
-            while data := source.recv(65536):
-                if sink is near and self.mute:
-                    continue
-                if sink is near:
-                    self.late.wait(LATE_S)
-                sink.sendall(data)
-        with suppress(OSError):
-            sink.shutdown(socket.SHUT_RDWR)
-        source.close()
-        self._links.discard(source)
-
-
-SHORT_LEASE_S = 2.0
-LATE_S = 1.5
-"""Delay in s of a slow line."""
+    def _message(self, link: Any, message: str | bytes) -> None:
+        if isinstance(message, str) and self.late_s:
+            state = json.loads(message)
+            message = json.dumps(state | {"time_s": state["time_s"] - self.late_s})
+        if not self.is_mute:
+            link.send(message)
 
 
 @pytest.fixture
-def wire(served: Any) -> Iterator[Line]:
-    made = Line(served.interfaces["http_port"])
-    yield made
-    made.close()
+def line() -> Line:
+    return Line()
+
+
+SHORT_LEASE_S = 2.0
 
 
 @pytest.mark.long
@@ -575,10 +555,10 @@ def test_command_is_taken_over_and_given_up(served, open_page) -> None:
 
 
 @pytest.mark.long
-def test_a_cut_line_is_red_at_once_and_returns_by_itself(served, wire, open_page) -> None:
-    page = open_page(address(served, wire.port), command=True)
+def test_a_cut_line_is_red_at_once_and_returns_by_itself(served, line, open_page) -> None:
+    page = open_page(address(served), line=line, command=True)
     becomes(page, "#state", "Ready")
-    wire.cut()
+    line.cut()
     becomes(page, "#state", "Not connected")
     assert page.get_attribute("#band", "data-level") == "bad"
     assert page.text_content("#measured_force") == "–"
@@ -586,7 +566,7 @@ def test_a_cut_line_is_red_at_once_and_returns_by_itself(served, wire, open_page
     page.evaluate("window.same = true")
     served.plugin.pause()
     served.service.start(served.service.lease.number, {"task": "grip", "force_n": 3.0})
-    wire.mend()
+    line.is_cut = False
     becomes(page, "#state", "Working")
     becomes(page, "#commander", "This page")
     assert page.evaluate("window.same")
@@ -594,30 +574,29 @@ def test_a_cut_line_is_red_at_once_and_returns_by_itself(served, wire, open_page
 
 
 @pytest.mark.long
-def test_a_command_whose_answer_is_lost_is_done_once(served, wire, open_page) -> None:
-    page = open_page(address(served, wire.port), command=True)
-    wire.mute = True
+def test_a_command_whose_answer_is_lost_is_done_once(served, line, open_page) -> None:
+    page = open_page(address(served), line=line, command=True)
+    line.is_mute = True
     page.click("#do_grip")
-    until(lambda: served.plugin.asked)
     becomes(page, "#state", "Not connected")
-    wire.mute = False
+    assert line.n_jobs > 1
+    line.is_mute = False
     becomes(page, "#state", "Part held")
     becomes(page, "#do_verify", "still the same part")
-    assert len(served.plugin.asked) == 1
+    assert (len(served.plugin.asked), page.text_content("#said")) == (1, "")
 
 
 @pytest.mark.long
-def test_a_slow_line_is_not_shown_as_live(served, wire, open_page) -> None:
-    page = open_page(address(served, wire.port))
+def test_a_slow_line_is_not_shown_as_live(served, line, open_page) -> None:
+    page = open_page(address(served), line=line)
     becomes(page, "#state", "Ready")
-    wire.late.clear()
+    line.late_s = 1.5
     becomes(page, "#state", "Not connected")
-    page.evaluate("window.came = 0")
     # It stays so while messages come, each too late.
     for _ in range(20):
         page.wait_for_timeout(100)
         assert page.text_content("#state") == "Not connected"
-    wire.late.set()
+    line.late_s = 0.0
     becomes(page, "#state", "Ready")
 
 
