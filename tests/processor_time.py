@@ -23,7 +23,7 @@ USUAL_LOAD = 1.5
 """Load of each processor by the tests alone: a worker on each, and the processes that it starts."""
 LOOP_EVERY = 50
 """Tests of a process from one reference loop to the next."""
-_OWN, _SHARED, _LOOP = "processor_s", "shared_fixtures_s", "reference_loop_s"
+_TOOK, _LOOP = "processor_s", "reference_loop_s"
 
 
 def loop_s() -> float:
@@ -60,8 +60,6 @@ class ProcessorTime:
         self._budget_s = budget_s
         self._list_path = list_path
         self._start_s = 0.0
-        self._shared_s = 0.0
-        self._shared_depth = 0
         self._n_measured = 0
         self._loops_s: list[float] = []
         self._tests: dict[str, float] = {}
@@ -69,29 +67,15 @@ class ProcessorTime:
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self) -> Generator[None, object, object]:
         """Begin to measure a test."""
-        self._start_s, self._shared_s = _used_s(), 0.0
+        self._start_s = _used_s()
         return (yield)
 
     @pytest.hookimpl(wrapper=True)
-    def pytest_fixture_setup(
-        self, fixturedef: pytest.FixtureDef[object]
-    ) -> Generator[None, object, object]:
-        """Measure fixtures that further tests share apart: they are no cost of this test."""
-        if fixturedef.scope == "function" or self._shared_depth:
-            return (yield)
-        self._shared_depth += 1
-        start_s = _used_s()
-        try:
-            return (yield)
-        finally:
-            self._shared_depth -= 1
-            self._shared_s += _used_s() - start_s
-
-    @pytest.hookimpl(wrapper=True)
     def pytest_runtest_call(self, item: pytest.Item) -> Generator[None, object, object]:
-        """Fail a test that has passed and took too long."""
+        """Fail a test that has passed and took too long; its fixtures do not count."""
+        start_s = _used_s()
         result = yield
-        own_s = _used_s() - self._start_s - self._shared_s
+        own_s = _used_s() - start_s
         exempt = any(item.get_closest_marker(name) for name in EXEMPT)
         if own_s > self._test_limit_s and not exempt:
             limit_s = self._test_limit_s * slowness([loop_s()])
@@ -109,8 +93,7 @@ class ProcessorTime:
         try:
             return (yield)
         finally:
-            own_s = _used_s() - self._start_s - self._shared_s
-            item.user_properties += [(_OWN, own_s), (_SHARED, self._shared_s)]
+            item.user_properties.append((_TOOK, _used_s() - self._start_s))
             if self._n_measured % LOOP_EVERY == 0:
                 item.user_properties.append((_LOOP, loop_s()))
             self._n_measured += 1
@@ -119,7 +102,7 @@ class ProcessorTime:
         """Collect the times, also from workers of xdist."""
         if report.when == "teardown":
             values = dict(report.user_properties)
-            self._tests[report.nodeid] = float(values[_OWN]) + float(values[_SHARED])
+            self._tests[report.nodeid] = float(values[_TOOK])
             if _LOOP in values:
                 self._loops_s.append(float(values[_LOOP]))
 
