@@ -29,6 +29,17 @@ from recognition.recognizer import Posterior
 from simulator.clock import VirtualClock
 from tests.values import make_pads
 
+WHOLE = {"make_bench", "make_plugin", "taught", "open_page", "aged"}
+"""Fixtures of whole cells, browsers and fleets."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests of whole cells: they are slow."""
+    for item in items:
+        if WHOLE & {*getattr(item, "fixturenames", ())}:
+            item.add_marker("slow")
+
 
 def call(*arguments: object, answers: str = "") -> str:
     """Run a command that succeeds; return what it printed."""

@@ -1,6 +1,5 @@
 """From a config to a cell."""
 
-import json
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -29,7 +28,6 @@ from gripper.values.state import GripperPhase
 from pytest_tactile_cell.configs import simulated_config
 from simulator.cell import SimulatedCell
 from simulator.servo.gearing import GEARINGS
-from simulator.servo.mechanics import RackLinkage
 from simulator.settings import SimulatorSettings
 from tactile.errors import BusNotOpened, TactileError
 from tactile.sensor.settings import SensorSettings
@@ -48,7 +46,6 @@ def positioner(bench: Any) -> Any:
     return bench.controller.moves.positioner
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
     [
@@ -104,19 +101,6 @@ def test_wrong_ports_are_named_and_nothing_stays_open(tmp_path, change, error, n
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
-def test_health_counts_what_the_links_did(make_bench, tmp_path) -> None:
-    bench = make_bench(folder=tmp_path).ready()
-    bench.grasp()
-    health = bench.cell.health()
-    assert json.loads(json.dumps(health)) == health
-    assert health["tactile"]["complete"] > 50
-    assert health["tactile"]["lost"] == 0
-    assert health["servo_bus"]["transactions"] > 300
-    assert health["loop"]["cycles"] > 100
-    assert health["recording"] is None
-
-
 def paced(cell: Cell, real: Clock, real_s: float) -> None:
     """Let real time pass as the worker of a plugin does while no job runs."""
     for _ in range(round(real_s / 0.02)):
@@ -124,7 +108,6 @@ def paced(cell: Cell, real: Clock, real_s: float) -> None:
         cell.idle()
 
 
-@pytest.mark.slow
 def test_a_paced_cell_lives_on_while_no_command_runs(make_bench) -> None:
     bench, real = make_bench().ready(), Clock()
     cell, clock = bench.cell, bench.simulated.clock
@@ -159,30 +142,6 @@ def test_a_paced_cell_lives_on_while_no_command_runs(make_bench) -> None:
 
 
 # -- The simulated cell as the config describes it -------------------------------------------------
-
-
-def test_settings_follow_the_config() -> None:
-    settings = simulator_settings(
-        small_config(
-            seed=5,
-            tactile__node_id=9,
-            tactile__serial_number=77,
-            tactile__bitrate=500000,
-            tactile__layout="pinch",
-            gripper__servos=[{"id": 4, "model": "XL330-M288", "direction": -1}],
-            gripper__linkage=RACK,
-            simulator__noise="none",
-            simulator__noise_level=0.5,
-        )
-    )
-    (servo,) = settings.servos
-    assert (servo.servo_id, servo.model.name, servo.mount.direction) == (4, "XL330-M288", -1)
-    assert isinstance(settings.linkage, RackLinkage)
-    unit = settings.unit
-    assert (unit.node_id, unit.serial_number, unit.bitrate) == (9, 77, 500_000)
-    assert settings.layout.n_taxels == 156
-    assert (settings.noise.kind, settings.noise.level, settings.seed) == ("none", 0.5, 5)
-    assert set(settings.objects) == {"ball", "box"}
 
 
 def test_the_servos_differ_as_the_config_says() -> None:
@@ -339,7 +298,6 @@ def test_a_person_without_hardware_moves_the_fingers_from_a_second_terminal(cell
 FLEXITAC, USKIN = (load_config(ROOT / "config" / f"{name}.yaml") for name in ("flexitac", "uskin"))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("profile", ["12x32", *(LONG(name) for name in ("16x32", "16x16"))])
 def test_a_cell_grasps_and_records_on_boards_of_each_profile(make_bench, profile, tmp_path) -> None:
     config = changed_config(
@@ -423,7 +381,6 @@ def test_a_real_cell_on_boards_needs_no_can_channel() -> None:
     assert simulated_config(config).tactile.serial_ports == ("simulated", "simulated")
 
 
-@pytest.mark.slow
 def test_each_approach_has_a_zero_of_its_own_while_z_drifts(make_bench) -> None:
     bench = make_bench(changed_config(USKIN, {"tactile.tare_frames": 30})).start()
     first = bench.controller.zeroing.taxels

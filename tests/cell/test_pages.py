@@ -79,7 +79,6 @@ def test_the_page_on_updates_can_be_typed(here) -> None:
     assert re.search(r"\b(ball|box)\b", list(typed("how-to/update.md"))[-1])
 
 
-@pytest.mark.slow
 def test_the_page_on_recordings_can_be_typed(here) -> None:
     (config,) = blocks("how-to/keep-recordings.md", "yaml")
     Path("of-the-page.yaml").write_text(config)
@@ -103,7 +102,6 @@ def test_the_page_on_recordings_can_be_typed(here) -> None:
     assert [row["kind"] for row in names["rows"]] == ["start"]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "page", ["open-parallel-gripper", "rh-p12-rn", "connect-flexitac", "connect-uskin"]
 )

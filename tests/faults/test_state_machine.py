@@ -341,16 +341,8 @@ class Driver:
 
     def cancel_soon(self, after_s: float) -> None:
         """Let another thread ask for a stop in so many s."""
-        due_s = self.simulated.clock.monotonic() + after_s
-        controller = self.controller
-
-        def look(now_s: float) -> None:
-            if now_s >= due_s:
-                self.simulated.clock.on_advance.remove(look)
-                controller.life.cancel()
-
         with self.step(f"cancel in {after_s} s"):
-            self.simulated.clock.on_advance.append(look)
+            once(self.simulated.clock, lambda: True, self.controller.life.cancel, after_s)
 
     def carry(self, force_n: float, text: str, seconds: float) -> None:
         """Grip, bring a fault about while the part is carried, and look at it."""
@@ -526,11 +518,6 @@ def drive(*, fault: str = CAN_OFF) -> None:
         cell.wait(0.1)
         cell.recover()
         cell.identify(3.0)
-
-
-@pytest.mark.slow
-def test_nothing_is_broken_as_it_is() -> None:
-    drive()
 
 
 WRITTEN = {

@@ -16,6 +16,7 @@ from cell.config.file import load_config
 from cell.control.self_zero import stored_zeros
 from cell.service.history import read_day
 from tests.cell.conftest import call
+from tests.formats.write import numbers
 
 RELEASES = sorted(one for one in Path(__file__).parent.iterdir() if one.name[0].isdigit())
 MOST_BYTES = 300_000
@@ -34,6 +35,13 @@ def test_the_files_of_a_release_are_small() -> None:
     for folder in RELEASES:
         n_bytes = sum(one.stat().st_size for one in folder.rglob("*") if one.is_file())
         assert 0 < n_bytes <= MOST_BYTES, folder.name
+
+
+@pytest.mark.usefixtures("release")
+def test_numbers_of_faults_and_states_stay() -> None:
+    now = numbers()
+    for kind, of_release in json.loads(Path("numbers.json").read_text()).items():
+        assert of_release.items() <= now[kind].items()
 
 
 @pytest.mark.slow

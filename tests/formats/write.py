@@ -1,5 +1,6 @@
 """Files of this version, made once for each release: `python -m tests.formats.write`."""
 
+import json
 import os
 import shutil
 from importlib.metadata import version
@@ -12,6 +13,8 @@ from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Engine
 from cell.commissioning.walk import all_steps
 from cell.config.file import config_text
+from cell.control.states import CellState, GraspState
+from cell.fault_catalogue import CATALOGUE
 from cell.service.history import History
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
@@ -19,6 +22,15 @@ from tactile.layout import pinch_layout
 from tests.cell.commissioning.hands import Person, SimulatedLines
 from tests.cell.commissioning.test_servo_bench import SimulatedBench, measured
 from tests.cell.conftest import call, quick_config
+
+
+def numbers() -> dict[str, dict[str, int]]:
+    """Return the numbers that hosts know."""
+    return {
+        "faults": {kind.__name__: fault.number for kind, fault in CATALOGUE.items()},
+        "states": {state.value: state.number for state in CellState},
+        "grip": {state.value: state.number for state in GraspState},
+    }
 
 
 def main() -> None:
@@ -32,6 +44,7 @@ def main() -> None:
 
 def make_files() -> None:
     """Write the files to the working folder."""
+    Path("numbers.json").write_text(json.dumps(numbers(), indent=1) + "\n")
     Path("bench").mkdir()
     measured(SimulatedBench(), Path("bench"), "registers", "velocity", "scale", "free")
     (result,) = Path("bench").glob("*.json")

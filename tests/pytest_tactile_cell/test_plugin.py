@@ -4,7 +4,6 @@ import re
 import subprocess
 import sys
 import time
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -51,11 +50,6 @@ def run(pytester: pytest.Pytester, *arguments: str) -> pytest.RunResult:
     # Each run would import hypothesis anew, which takes longer than the run.
     quick = ("-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:hypothesispytest")
     return pytester.runpytest_inprocess(*quick, *arguments)
-
-
-def test_pytest_finds_the_plugin() -> None:
-    (entry,) = entry_points(group="pytest11", name="tactile-cell")
-    assert entry.value == "pytest_tactile_cell"
 
 
 @pytest.mark.slow

@@ -373,7 +373,6 @@ def aged(tmp_path_factory: pytest.TempPathFactory) -> str:
     return target
 
 
-@pytest.mark.slow
 def test_each_question_names_the_cell_that_it_concerns(aged: str) -> None:
     answers = ask(aged)
     assert answers.n_grasps == 120
@@ -412,7 +411,6 @@ def test_day_effects_are_found_beside_objects_that_are_not_grasped_each_day() ->
     np.testing.assert_allclose(effects, days - days.mean(), atol=1e-6)
 
 
-@pytest.mark.slow
 def test_the_page_has_the_answers_and_no_markup_of_labels(aged: str) -> None:
     answers = ask(aged)
     cells = {**answers.cells, "<script>": ()}
@@ -435,7 +433,6 @@ def test_an_archive_without_answers_says_so(tmp_path: Path) -> None:
     render_report(archive_report(answers, untaught))
 
 
-@pytest.mark.slow
 def test_commands_work_on_a_selection(aged: str, tmp_path: Path) -> None:
     out = call("archive", "report", aged, "-o", tmp_path / "a.html", "--cell", "press 1")
     assert "press 2" not in out
@@ -450,7 +447,6 @@ def test_commands_work_on_a_selection(aged: str, tmp_path: Path) -> None:
         call("recording", "plot", 0, aged, "-o", tmp_path / "a.txt")
 
 
-@pytest.mark.slow
 def test_training_learns_the_spread(aged: str, tmp_path: Path) -> None:
     result = tmp_path / "a.json"
     call("model", "train", aged, "-o", tmp_path / "a.npz", "--json", result)

@@ -57,7 +57,6 @@ OPEN_M = quick_config().gripper.aperture_open_mm * 1e-3
 # -- grasps ----------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_each_frame_has_the_opening_and_the_set_point_of_its_period(bench: Any) -> None:
     record = bench.ready().grasp(4.0, Pose(x_m=1e-3))
     assert (record.outcome.result, bench.grip_n) == (GraspResult.FORCE_REACHED, 0.0)
@@ -79,7 +78,6 @@ def test_each_frame_has_the_opening_and_the_set_point_of_its_period(bench: Any) 
     assert pressed[-1].max() > pressed[0].max() + 40
 
 
-@pytest.mark.slow
 def test_a_machine_clock_set_back_leaves_the_grasps_in_order(bench, monkeypatch) -> None:
     bench.controller.start()
     bench.controller.moves.present("box")
@@ -90,7 +88,6 @@ def test_a_machine_clock_set_back_leaves_the_grasps_in_order(bench, monkeypatch)
     assert after.grasp.start_ms == before.grasp.start_ms + 1
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("diameter_mm", "closed_mm", "reached"), [(3, 0.0, False), (2, -4.0, True)]
 )
@@ -128,7 +125,6 @@ def test_a_part_that_sinks_into_the_foam_is_held_with_what_it_bears(
     )
 
 
-@pytest.mark.slow
 def test_the_recording_holds_what_happened(make_bench: MakeBench, tmp_path: Path) -> None:
     bench = make_bench(folder=tmp_path).ready()
 
@@ -192,7 +188,6 @@ def test_what_is_no_plan_is_refused_before_anything_moves(bench: Any) -> None:
 # -- stopping --------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("phase", "after_s", "least_n"), [(RAMPING, 0.3, 1.0), (APPROACHING, 0.2, 0.0)]
 )
@@ -211,7 +206,6 @@ def test_cancelling_keeps_the_grip_until_it_is_released(bench, phase, after_s, l
     assert (bench.life.state, bench.grip_n) == (CellState.IDLE, 0.0)
 
 
-@pytest.mark.slow
 def test_cancelling_between_two_grasps_leaves_the_fingers_open(bench: Any) -> None:
     bench.ready()
     bench.grasp()
@@ -224,7 +218,6 @@ def test_cancelling_between_two_grasps_leaves_the_fingers_open(bench: Any) -> No
     bench.grasp()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("again", ["release", "release_held"])
 def test_a_release_can_be_stopped_too(bench: Any, again: str) -> None:
     bench.ready()
@@ -245,7 +238,6 @@ def test_a_release_can_be_stopped_too(bench: Any, again: str) -> None:
     assert bench.grip_n == 0.0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("phase", [GripperPhase.OFF, OPENING, GripperPhase.IDLE])
 def test_a_cancelled_start_leaves_the_cell_stopped(bench: Any, phase: GripperPhase) -> None:
     bench.once_in(phase, bench.life.cancel, 0.2 if phase is GripperPhase.IDLE else 0.0)
@@ -265,7 +257,6 @@ MOTIONS: dict[str, Callable[[Any], object]] = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("motion", "phase", "after_s"),
     [
@@ -305,7 +296,6 @@ def test_an_interrupt_stops_each_motion_within_two_periods(bench, motion, phase,
 # -- faults ----------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_a_stop_that_finds_the_servos_gone_is_a_fault(bench: Any) -> None:
     bench.ready()
 
@@ -465,7 +455,6 @@ def identified(
     return Judge(recognizer=recognizer, plan=plan, error_rate=0.02, **options).identify(grasp)
 
 
-@pytest.mark.slow
 def test_identifying_ends_as_soon_as_it_is_sure_or_with_its_plan(record: GraspRecord) -> None:
     told: list[int] = []
     answer = identified(record, n_steps=5, on_grasp=lambda number, *_told: told.append(number))
@@ -480,7 +469,6 @@ def test_identifying_ends_as_soon_as_it_is_sure_or_with_its_plan(record: GraspRe
     assert answer.decision.kind is not DecisionKind.CONTINUE
 
 
-@pytest.mark.slow
 def test_shape_and_size_are_fused_over_the_grasps(record: GraspRecord) -> None:
     told: list[Any] = []
     answer = identified(
@@ -497,7 +485,6 @@ def test_shape_and_size_are_fused_over_the_grasps(record: GraspRecord) -> None:
     assert f"{answer.shape.kind} of {1e3 * answer.shape.size_m:.1f} mm" in in_words(answer.shape)
 
 
-@pytest.mark.slow
 def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(record: GraspRecord) -> None:
     read = shape_reader(small_config())
     assert read is not None
@@ -515,7 +502,6 @@ def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(record: GraspRecor
     assert identified(record, read_shape=lambda _grasp: None).shapes == (None, None)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("drawn_m", "label"), [((4e-3,), UNKNOWN), ((4e-3, 9.5e-3), "ball")])
 def test_a_measured_size_far_from_the_drawn_ones_is_of_no_taught_object(
     record, drawn_m, label

@@ -43,7 +43,6 @@ def identify(bench: Any, recognizer: Scripted, keep: Keep, steps: Any = STEPS[:1
 # -- what is kept ----------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_what_is_shown_of_a_carried_part_is_what_its_supervision_measures(make_bench) -> None:
     bench = make_bench(quick_config(tactile__tare_frames=25)).ready()
     bench.idle(0.05)
@@ -68,7 +67,6 @@ def test_what_is_shown_of_a_carried_part_is_what_its_supervision_measures(make_b
     assert np.any(bench.controller.live.counts != counts)
 
 
-@pytest.mark.slow
 def test_what_is_not_measured_is_not_shown_and_its_age_grows(bench: Any) -> None:
     identify(bench, Scripted(SURE), Keep.ALWAYS)
     bench.sleep(2.0)  # nobody ticks
@@ -84,7 +82,6 @@ def test_what_is_not_measured_is_not_shown_and_its_age_grows(bench: Any) -> None
     assert bench.controller.live == LiveValues()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("keep", "held"), [(Keep.WHEN_NAMED, False), (Keep.ALWAYS, True)])
 def test_an_unknown_part_is_let_go_unless_all_are_kept(bench: Any, keep: Keep, held: bool) -> None:
     answer = identify(bench, Scripted(STRANGE), keep)
@@ -94,7 +91,6 @@ def test_an_unknown_part_is_let_go_unless_all_are_kept(bench: Any, keep: Keep, h
     assert bench.life.state is (CellState.COMPLETE if held else CellState.IDLE)
 
 
-@pytest.mark.slow
 def test_a_lost_recording_that_is_a_fault_of_grasps_does_not_keep_a_part(
     make_bench: MakeBench, tmp_path: Path
 ) -> None:
@@ -107,7 +103,6 @@ def test_a_lost_recording_that_is_a_fault_of_grasps_does_not_keep_a_part(
     assert (bench.life.state, bench.grip_n) == (CellState.IDLE, 0.0)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("keep", Keep)
 def test_the_part_is_held_while_it_is_named_where_it_may_be_kept(bench: Any, keep: Keep) -> None:
     recognizer = Scripted(UNSURE, SURE, look=lambda: bench.grip_n)
@@ -118,7 +113,6 @@ def test_the_part_is_held_while_it_is_named_where_it_may_be_kept(bench: Any, kee
     assert recognizer.seen == pytest.approx([wanted_n, wanted_n], abs=TOLERANCE_N)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("keep", "phase"),
     [(Keep.NEVER, GripperPhase.RELEASING), (Keep.ALWAYS, GripperPhase.BACKING_OFF)],
@@ -136,7 +130,6 @@ def test_a_hand_in_a_process_of_its_own_moves_on_while_the_answer_is_computed(
     assert (bench.grip_n > 1.0) is answer.in_grip
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("stopped", [True, False])
 def test_neither_a_stop_nor_a_fault_waits_for_the_answer_and_the_part_is_kept(
     bench: Any, monkeypatch: pytest.MonkeyPatch, stopped: bool
@@ -153,7 +146,6 @@ def test_neither_a_stop_nor_a_fault_waits_for_the_answer_and_the_part_is_kept(
     assert bench.grip_n > 1.0
 
 
-@pytest.mark.slow
 def test_an_error_while_it_is_named_is_a_fault_with_the_part_kept(bench: Any) -> None:
     with pytest.raises(IndexError):
         identify(bench, Scripted(), Keep.ALWAYS)
@@ -164,7 +156,6 @@ def test_an_error_while_it_is_named_is_a_fault_with_the_part_kept(bench: Any) ->
 # -- one grip --------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_without_a_fixture_further_ramps_are_taken_in_the_same_grip(make_bench) -> None:
     bench = make_bench(quick_config(sequence__regrasp="none")).ready("box")
     recognizer = Scripted(UNSURE, UNSURE, UNSURE)
@@ -187,7 +178,6 @@ def test_without_a_fixture_further_ramps_are_taken_in_the_same_grip(make_bench) 
 # -- faults of a carry -----------------------------------------------------------------------
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("fault", "limit_s"), [("object.gone", 0.15), ("object.slips=20", 0.25)])
 def test_a_part_that_leaves_the_grip_is_a_fault_with_its_time(bench, fault, limit_s) -> None:
     identify(bench, Scripted(SURE), Keep.ALWAYS)
@@ -224,7 +214,6 @@ def test_noise_of_the_taxels_makes_no_part_another_one() -> None:
     assert (lost.held, lost.same, len(lost.reasons)) == (False, None, 1)
 
 
-@pytest.mark.slow
 def test_a_part_that_was_moved_in_the_grip_is_found(bench: Any) -> None:
     bench.controller.grip(4.0, Pose())
     # Between two looks of the slip detector: what is seen is where the part is now.
@@ -236,7 +225,6 @@ def test_a_part_that_was_moved_in_the_grip_is_found(bench: Any) -> None:
     assert bench.grip_n > 1.0
 
 
-@pytest.mark.slow
 def test_a_part_of_another_thickness_is_found(bench: Any) -> None:
     bench.controller.grip(4.0, Pose())
     for step in range(1, 41):
@@ -253,7 +241,6 @@ def test_a_part_of_another_thickness_is_found(bench: Any) -> None:
 TO_BIN = Destination(label="ball", place="bin 1")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("answer", "error", "says"),
     [
@@ -273,7 +260,6 @@ def test_a_refused_place_and_a_stop_on_the_way_leave_the_part_in_the_grip(
     assert bench.grip_n > 1.0
 
 
-@pytest.mark.slow
 def test_a_part_that_is_lost_on_the_way_ends_it_at_once(bench: Any) -> None:
     arrived = threading.Event()
 

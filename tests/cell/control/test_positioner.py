@@ -152,7 +152,6 @@ def test_a_host_that_brings_parts_to_their_places_leaves_the_axes_to_be_seen(
     assert make_bench(config, places=lambda _destination: None).cell.axes is not None
 
 
-@pytest.mark.slow
 def test_the_axes_carry_an_object_out_of_the_pads_and_back_until_it_is_taken_off(bench) -> None:
     bench.ready("ball")
     devices = bench.simulated.devices
@@ -165,7 +164,6 @@ def test_the_axes_carry_an_object_out_of_the_pads_and_back_until_it_is_taken_off
     assert devices.world.placed is None
 
 
-@pytest.mark.slow
 def test_a_pose_that_no_axis_reaches_is_refused_and_nothing_moves(bench: Any) -> None:
     bench.ready().grasp(3.0, Pose())
     before = true_pose(bench)
@@ -180,7 +178,6 @@ def test_a_pose_that_no_axis_reaches_is_refused_and_nothing_moves(bench: Any) ->
     bench.grasp(3.0, Pose())
 
 
-@pytest.mark.slow
 def test_no_axis_moves_while_the_fingers_hold(bench: Any) -> None:
     bench.ready()
     positioner = bench.controller.moves.positioner
@@ -200,7 +197,6 @@ def test_no_axis_moves_while_the_fingers_hold(bench: Any) -> None:
         assert true_pose(bench) == before
 
 
-@pytest.mark.slow
 def test_a_kept_part_is_carried_to_its_place_by_the_axes(bench: Any) -> None:
     there = Destination(label="ball", place="bin", pose=Pose(x_m=5e-3, roll_rad=1.0))
     bench.ready()
@@ -227,7 +223,6 @@ def test_a_kept_part_is_carried_to_its_place_by_the_axes(bench: Any) -> None:
     assert placed.rotation_rad == pytest.approx(AWAY.rotation_rad, abs=NEAR_RAD)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("number", [606, 599])
 def test_a_drive_that_fails_in_a_carry_leaves_the_part_in_the_grip(
     bench: Any, monkeypatch: pytest.MonkeyPatch, number: int
@@ -262,7 +257,6 @@ def test_a_person_brings_the_object_where_nothing_is_simulated() -> None:
     assert (asked, looked) == (["ball"], [True])
 
 
-@pytest.mark.slow
 def test_the_fingers_are_supervised_while_the_axes_move(bench: Any) -> None:
     """A servo of the gripper that falls silent on the way stops the axes as well."""
     bench.ready().grasp(3.0, Pose(x_m=-5e-3))

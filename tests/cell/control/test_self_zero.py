@@ -65,7 +65,6 @@ def test_what_is_measured_is_what_the_hand_is(make_bench) -> None:
     assert there.controller.grasp(step).grasp.zero == other
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "hand",
     [
@@ -102,7 +101,6 @@ def test_it_is_measured_on_other_hands(make_bench, hand: dict[str, Any]) -> None
     assert bench.controller.zeros.newest.opening_m * 1e3 == pytest.approx(0.0, abs=0.3)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("when", "part"),
     [("always", "sphere:diameter=9.5mm"), ("on_demand", "cylinder:diameter=3mm,length=60mm")],
@@ -121,7 +119,6 @@ def test_a_part_that_was_left_is_named_and_kept_not_zeroed_on(make_bench, when, 
     assert 0.3 < bench.grip_n < bench.controller.kept_part.wanted_force_n + 0.5
 
 
-@pytest.mark.slow
 def test_a_daily_start_opens_again_on_a_part_and_goes_on(make_bench, tmp_path) -> None:
     config = small_config(self_zero="daily")
     bench = make_bench(config, folder=tmp_path / "job")
@@ -142,7 +139,6 @@ def test_a_daily_start_opens_again_on_a_part_and_goes_on(make_bench, tmp_path) -
     assert stored_zeros(config, tmp_path, new_hand=False).newest is None
 
 
-@pytest.mark.slow
 def test_a_daily_start_takes_no_zero_that_is_far_off(make_bench) -> None:
     flat = make_bench(small_config(self_zero="daily"))
     flat.simulated.place("box:length=80mm,width=40mm,height=3mm")
@@ -168,7 +164,6 @@ def test_a_zero_that_cannot_be_written_counts_in_its_program(make_bench, tmp_pat
     )
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("made_up_zero")
 def test_a_start_with_a_held_part_takes_no_zero_and_keeps_it(make_bench) -> None:
     bench = make_bench(quick_config(self_zero="always")).ready()
@@ -181,7 +176,6 @@ def test_a_start_with_a_held_part_takes_no_zero_and_keeps_it(make_bench) -> None
     assert bench.life.holding
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
@@ -216,7 +210,6 @@ def test_it_is_measured_at_a_start_where_it_is_due(make_bench, tmp_path, when, t
         assert seen[1][0] == seen[0][1]
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("made_up_zero")
 def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path: Path) -> None:
     said = call("hand", "zero", "--out", tmp_path, "--json", tmp_path / "zero.json")
@@ -260,7 +253,6 @@ def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(monkeypatch,
     assert (CellConfig().self_zero, faulty.self_zero) == ("daily", "on_demand")
 
 
-@pytest.mark.slow
 def test_fingers_that_cannot_meet_are_gauged(make_bench) -> None:
     bench = make_bench(small_config(gripper__pads_meet=False)).ready()
     with pytest.raises(PlanRefused, match="calibrate --gauge"):
@@ -312,7 +304,6 @@ def test_a_zero_of_another_cell_counts_as_none_and_is_named(tmp_path, change, na
     )
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("made_up_zero")
 def test_a_zero_of_another_control_unit_counts_as_none(make_bench, tmp_path: Path) -> None:
     """Two cells whose adapters have changed places have the same config."""
@@ -367,7 +358,6 @@ def test_a_self_zero_counts_for_a_day(tmp_path: Path) -> None:
     assert (later.newest, later.measured_s) == (None, 1.8e9)
 
 
-@pytest.mark.slow
 def test_pads_on_each_other_stay_below_the_cap_and_contradict_no_message(make_bench) -> None:
     """At twice the noise, which moves the centre of a load on all taxels far, and with one stronger
     motor. The set-point ends at 10 N, the cap is 15 N, and no servo was ever

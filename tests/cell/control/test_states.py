@@ -133,29 +133,9 @@ def test_refusal_names_what_is_allowed() -> None:
         next_state(CellState.HELD, Event.EXECUTE)
 
 
-def test_numbers_are_those_that_hosts_know() -> None:
-    assert {state.value: state.number for state in CellState} == {
-        "CLEARING": 1,
-        "STOPPED": 2,
-        "RESETTING": 2,
-        "IDLE": 4,
-        "EXECUTE": 6,
-        "STOPPING": 7,
-        "ABORTING": 8,
-        "ABORTED": 9,
-        "HOLDING": 10,
-        "HELD": 11,
-        "STARTING": 15,
-        "COMPLETE": 17,
-    }
-    assert [state for state in CellState if state.needs_reset] == [CellState.RESETTING]
-    assert [state.number for state in GraspState] == list(range(8))
-
-
 # -- the cell does as the table says ---------------------------------------------------------
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("state", CellState)
 def test_a_refused_command_changes_nothing(state: CellState, make_bench: MakeBench) -> None:
     walk = Walk(make_bench())
@@ -178,7 +158,6 @@ def test_a_refused_command_changes_nothing(state: CellState, make_bench: MakeBen
 ACCEPTED = [(s, c) for s in CellState for c in Command if command_effect(s, c).accepted]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("state", "command"), ACCEPTED)
 def test_an_accepted_command_goes_the_way_of_the_table(
     state: CellState, command: Command, make_bench: MakeBench, tmp_path: Path
@@ -205,7 +184,6 @@ def test_an_accepted_command_goes_the_way_of_the_table(
 # -- the grip --------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_the_state_of_the_grip_follows_a_grasp(bench: Any) -> None:
     bench.ready()
     seen: dict[GraspState, None] = {}

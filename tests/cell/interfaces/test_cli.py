@@ -194,7 +194,6 @@ def test_teach_finds_out_before_the_first_grasp_where_it_cannot_write(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow
 def test_identify_on_the_cell(config, model, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(GraspRecord, "ended", "ended early at 2.5 N")
     text = call(
@@ -214,7 +213,6 @@ def test_identify_on_the_cell(config, model, tmp_path, monkeypatch) -> None:
     assert recording.results[0]["label"] == "box"
 
 
-@pytest.mark.slow
 def test_a_job_whose_recording_alone_fails_has_its_answer_and_fails(
     config, model, tmp_path, monkeypatch
 ) -> None:
@@ -228,7 +226,6 @@ def test_a_job_whose_recording_alone_fails_has_its_answer_and_fails(
     assert "No space left" in read_json(written)["health"]["recording"]
 
 
-@pytest.mark.slow
 def test_the_command_that_lets_go_of_a_kept_part_is_printed(
     config, model, meddle, monkeypatch
 ) -> None:
@@ -242,7 +239,6 @@ def test_the_command_that_lets_go_of_a_kept_part_is_printed(
     assert f"the part is kept; to release it: tactile-cell hand release --config {config}" in text
 
 
-@pytest.mark.slow
 def test_a_recording_is_identified_without_shapes(taught, config, model, tmp_path) -> None:
     recording = taught.result.recording
     config.write_text(config.read_text().replace("shape: true", "shape: false"))
@@ -336,7 +332,6 @@ def test_a_terminal_obeys_no_text_of_a_file(tmp_path, capsys, monkeypatch) -> No
     assert ask("place \x1b[2J") == "place \\x1b[2J"
 
 
-@pytest.mark.slow
 def test_release_and_doctor_need_nobody_who_moves(config) -> None:
     text = config.read_text(encoding="utf-8")
     config.write_text(text.replace("kind: simulated", "kind: callback"), encoding="utf-8")
@@ -368,7 +363,6 @@ def test_train_writes_a_model(dataset, tmp_path) -> None:
     }
 
 
-@pytest.mark.slow
 def test_commands_use_the_model_that_was_trained_last_in_the_folder(
     dataset, config, tmp_path, monkeypatch, fail
 ) -> None:
@@ -384,7 +378,6 @@ def test_commands_use_the_model_that_was_trained_last_in_the_folder(
     assert "--model is missing" in fail("identify", "-c", config, code=2)
 
 
-@pytest.mark.slow
 def test_evaluate_prints_what_is_taken_for_which_object_and_what_is_left_out(
     taught, dataset, tmp_path, monkeypatch
 ) -> None:
@@ -601,7 +594,6 @@ def test_a_signal_stops_the_job_and_keeps_grip_recording_and_what_was_grasped(
         assert "recording.mcap: use it with `tactile-cell model train`" in said
 
 
-@pytest.mark.slow
 def test_a_report_that_cannot_be_written_does_not_cost_the_result(
     config, taught, fail, monkeypatch
 ) -> None:
@@ -681,7 +673,6 @@ def test_a_fault_tells_its_number_what_became_of_the_grip_and_where_the_recordin
 # -- sort --------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_sort_prints_how_many_parts_lie_where(config, model, tmp_path) -> None:
     report = tmp_path / "sort.json"
     printed = call("sort", "-c", config, "-m", model, "--parts", 2, "--json", report)

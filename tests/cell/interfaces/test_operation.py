@@ -439,7 +439,6 @@ def packed(folder: Path) -> dict[str, bytes]:
     return members
 
 
-@pytest.mark.slow
 def test_no_secret_of_the_cell_is_in_its_bundle(cell: Served, tmp_path: Path) -> None:
     Client(cell.interfaces).post("/api/lease", name=f"host with {SECRET}")
     members = packed(tmp_path)
@@ -458,7 +457,6 @@ def test_no_secret_of_the_cell_is_in_its_bundle(cell: Served, tmp_path: Path) ->
     assert b"host with removed" in members["state.txt"]
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("cell")
 def test_without_a_service_the_bundle_says_so(tmp_path: Path, monkeypatch: Any) -> None:
     config = parse_config((tmp_path / "cell.yaml").read_text(), source="cell")

@@ -92,7 +92,6 @@ def test_the_same_seed_gives_the_same_grasps() -> None:
     )
 
 
-@pytest.mark.slow
 def test_drawings_alone_name_what_the_cell_grasps(taught, tmp_path) -> None:
     drawings, model, own = (tmp_path / name for name in ("d.npz", "m.npz", "own.npz"))
     for label, text in (("ball", BALL), ("box", BOX), ("cylinder", CYLINDER)):

@@ -196,7 +196,6 @@ def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(monkeypat
     assert model.drift.n_followed == 3
 
 
-@pytest.mark.slow
 def test_a_plugin_saves_what_was_taught_or_what_it_followed(plugin, taught, tmp_path) -> None:
     answer = done(plugin, IdentifyGoal(max_grasps=1, present="ball", whole_ramps=True))
     plugin.save(tmp_path / "taught.npz")
@@ -222,7 +221,6 @@ def test_the_recording_names_the_drift_of_each_answer(taught) -> None:
     assert not taught.result.as_json()["remarks"]
 
 
-@pytest.mark.slow
 def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught) -> None:
     model = load_model(taught.result.model)
     drift = Drift(gains=(0.8,), aperture_offset_m=-1e-3)
@@ -238,7 +236,6 @@ def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught) -> None:
     assert gauged.drift.drift == before
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("made_up_zero")
 def test_a_model_that_was_taught_without_a_self_zero_is_named_once(taught, make_bench) -> None:
     bench = make_bench(small_config(self_zero="always")).ready()
@@ -261,7 +258,6 @@ def posterior(share: float, unknown: float = 0.01) -> Posterior:
     return Posterior(labels=("ball", "box"), probability=probability, unknown=unknown)
 
 
-@pytest.mark.slow
 def test_a_ramp_ends_where_it_suffices_with_the_answer_of_that_moment(make_bench, tmp_path) -> None:
     bench = make_bench(folder=tmp_path).ready()
     recognizer = Scripted(UNSURE, LIKELY, UNLIKELY)
@@ -317,7 +313,6 @@ def test_earlier_grasps_count_and_each_share_is_checked_once() -> None:
     assert not against.suffices(0.8, lambda: grasp)
 
 
-@pytest.mark.slow
 def test_a_check_that_fails_is_a_complaint_and_the_ramp_goes_on(bench) -> None:
     bench.ready()
     looks = iter([raising(CellError("a broken model")), bool, bool])
@@ -335,7 +330,6 @@ def test_a_check_that_fails_is_a_complaint_and_the_ramp_goes_on(bench) -> None:
     assert bench.controller.life.fault is None
 
 
-@pytest.mark.slow
 def test_by_touch_alone_and_for_other_kinds_ramps_are_whole(taught) -> None:
     for name, use_aperture in (("force_ramp", True), ("level_check", True), ("force_ramp", False)):
         recognition = {"recognizer": name, "use_aperture": use_aperture}

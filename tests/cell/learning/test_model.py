@@ -237,7 +237,6 @@ def test_objects_have_their_grasps_and_the_size_of_the_newest(model) -> None:
     assert (model.objects()["ball"][1] is shape, model.revision) == (True, revision)  # read once
 
 
-@pytest.mark.slow
 def test_the_newest_grasp_is_taken_back_and_an_object_forgotten(model, tmp_path) -> None:
     path = tmp_path / "parts.model.npz"
     file, revision = ModelFile(model, path), model.revision
@@ -253,7 +252,6 @@ def test_the_newest_grasp_is_taken_back_and_an_object_forgotten(model, tmp_path)
     assert not path.exists()  # the next start shall not find it
 
 
-@pytest.mark.slow
 def test_what_leaves_too_few_grasps_changes_nothing(model) -> None:
     for _ in range(2):
         model.forget("box", last=True)

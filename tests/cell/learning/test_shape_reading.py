@@ -72,7 +72,6 @@ def test_an_error_gives_the_threads_back() -> None:
     assert threads() == {HOST_THREADS}
 
 
-@pytest.mark.slow
 def test_training_and_answering_have_one_thread(make_bench, taught, monkeypatch) -> None:
     noting: Any = Scripted(SURE, look=threads)
     noting.fit = lambda _grasps: noting.seen.append(threads()) or noting

@@ -87,7 +87,6 @@ def page(report: Page, tmp_path_factory: pytest.TempPathFactory) -> str:
     return path.read_text("utf-8")
 
 
-@pytest.mark.slow
 def test_page_has_each_part_and_needs_nothing_but_itself(page, report) -> None:
     assert len(page.encode()) < 3_000_000
     outline = Outline(page)
@@ -316,7 +315,6 @@ def captions(page: Page) -> list[str]:
     return [caption for _, caption, _ in page.tiles]
 
 
-@pytest.mark.slow
 def test_figures_tables_and_files_of_a_run(recording, report, taught) -> None:
     assert "10 grasps taught, 2 identifications" in report.subtitle
     facts = report.sections["cell"]["facts"]
@@ -354,7 +352,6 @@ def test_the_papers_method_as_recognizer_of_the_cell_has_one_table(recording) ->
     assert captions(page) == ["right", "right with one grasp", "grasps until sure"]
 
 
-@pytest.mark.slow
 def test_a_page_says_what_the_recording_has_beside_the_answers(recording, monkeypatch) -> None:
     ours = ConfusionTable(
         name="Paper", labels=("ball", "box"), columns=("ball", "box"), counts=np.eye(2, dtype=int)
@@ -378,7 +375,6 @@ def test_a_page_says_what_the_recording_has_beside_the_answers(recording, monkey
     assert held[0] == free[0][-1:]
 
 
-@pytest.mark.slow
 def test_a_recording_without_optional_values_shows_the_others(recording, report) -> None:
     def without(rows: Any, *names: str) -> Any:
         return tuple({k: v for k, v in row.items() if k not in names} for row in rows)
@@ -402,7 +398,6 @@ def test_a_recording_without_optional_values_shows_the_others(recording, report)
     assert "config in the recording is not valid" in strange["notes"]["notes"][-1]
 
 
-@pytest.mark.slow
 def test_a_recording_that_was_cut_says_so_and_an_empty_one_is_refused(recording, tmp_path) -> None:
     cut = tmp_path / "cut.mcap"
     shutil.copyfile(recording.path, cut)
@@ -417,7 +412,6 @@ def test_a_recording_that_was_cut_says_so_and_an_empty_one_is_refused(recording,
         recorded_report(read_recording(tmp_path / "empty.mcap"))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "spoil",
     [

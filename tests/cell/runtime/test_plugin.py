@@ -57,7 +57,6 @@ def when(plugin: Any, phase: GripperPhase, act: Callable[[], object], *, above_n
 # -- jobs --------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(plugin: Any) -> None:
     with pytest.raises(
         JobFailed, match=r"ABORTED: .*at least 3.*kept for the next teaching"
@@ -69,7 +68,6 @@ def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(plugin: Any) -> N
     assert plugin.labels == ("ball", "box", "pin")
 
 
-@pytest.mark.slow
 def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -> None:
     examples = blocks("how-to/use-from-a-host-program.md", "python")
     (typed,) = (one for one in examples if "my mug" in one)
@@ -99,7 +97,6 @@ def test_a_part_that_nobody_can_bring_is_refused_at_once(plugin: Any) -> None:
     assert plugin.status().state == "IDLE"
 
 
-@pytest.mark.slow
 def test_a_refused_teaching_gives_no_part_a_name(plugin: Any) -> None:
     assert done(plugin, GripGoal(force_n=3.0, present="ball")).held
     with pytest.raises(CellStateError, match="not allowed"):
@@ -109,7 +106,6 @@ def test_a_refused_teaching_gives_no_part_a_name(plugin: Any) -> None:
         plugin.simulate({"place": "box"})
 
 
-@pytest.mark.slow
 def test_a_reset_of_the_simulation_ends_a_fault_and_leaves_nothing_in_the_grip(plugin) -> None:
     for fault in (None, "servo1.off", "can.unplugged"):
         assert done(plugin, GripGoal(force_n=3.0, present="ball")).held
@@ -123,7 +119,6 @@ def test_a_reset_of_the_simulation_ends_a_fault_and_leaves_nothing_in_the_grip(p
         assert plugin.simulate({"state": True})["faults"] == {}
 
 
-@pytest.mark.slow
 def test_teach_then_identify(make_plugin: Any) -> None:
     plugin = make_plugin(quick_config(sequence__force_n=[2.0, 4.0]))
     for label in ("ball", "box"):
@@ -158,7 +153,6 @@ def test_teach_then_identify(make_plugin: Any) -> None:
 # -- cancelling --------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_a_cancelled_job_keeps_the_grip_until_release(plugin: Any) -> None:
     pressing, go_on = threading.Event(), threading.Event()
 
@@ -207,7 +201,6 @@ def test_a_job_that_is_cancelled_as_soon_as_it_is_accepted_is_cancelled(plugin: 
         assert plugin.status().state == "IDLE"
 
 
-@pytest.mark.slow
 def test_a_plugin_that_is_dropped_disconnects_and_ends_its_threads(
     plugin_class: Any, taught: Any
 ) -> None:
@@ -233,7 +226,6 @@ def test_a_plugin_that_is_dropped_disconnects_and_ends_its_threads(
 # -- faults ------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_a_servo_at_fault_is_latched_at_loading_and_mended_by_clear(make_plugin: Any) -> None:
     plugin = make_plugin(quick_config(simulator__faults=["servo1.overload"]))
     assert plugin.status().state == "ABORTED"
@@ -268,7 +260,6 @@ def test_a_device_that_is_missing_at_the_start_is_an_error_of_the_constructor(
 # -- who moves ---------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_the_host_moves_and_may_veto(make_plugin: Any, taught: Any) -> None:
     asked: list[Pose] = []
     answers: list[Any] = [Pose(x_m=5e-4), False]
@@ -293,7 +284,6 @@ def test_the_host_moves_and_may_veto(make_plugin: Any, taught: Any) -> None:
     assert done(plugin, IdentifyGoal(max_grasps=1)).n_grasps == 1
 
 
-@pytest.mark.slow
 def test_teaching_beside_a_loaded_model_needs_the_grasps_that_trained_it(
     make_plugin: Any, taught: Any, tmp_path: Path
 ) -> None:
@@ -317,7 +307,6 @@ def test_teaching_beside_a_loaded_model_needs_the_grasps_that_trained_it(
 # -- the file that each teaching renews --------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_each_teaching_is_saved_before_its_job_succeeds(
     make_plugin: Any, taught: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -341,7 +330,6 @@ def test_each_teaching_is_saved_before_its_job_succeeds(
     assert make_plugin(model=path).labels == ("ball", "box")
 
 
-@pytest.mark.slow
 def test_a_teaching_that_cannot_be_saved_says_so_and_is_tried_again(
     make_plugin: Any, taught: Any, tmp_path: Path
 ) -> None:
@@ -361,7 +349,6 @@ def test_a_teaching_that_cannot_be_saved_says_so_and_is_tried_again(
     assert make_plugin(model=path).labels == ("ball", "box")
 
 
-@pytest.mark.slow
 def test_what_was_taught_and_cannot_be_written_is_named_at_the_end(
     make_plugin: Any, taught: Any, tmp_path: Path
 ) -> None:
@@ -373,7 +360,6 @@ def test_what_was_taught_and_cannot_be_written_is_named_at_the_end(
     plugin.close()
 
 
-@pytest.mark.slow
 def test_a_teaching_that_was_stopped_adds_its_grasps(make_plugin, taught, tmp_path) -> None:
     path, file = tmp_path / "new.npz", tmp_path / "new.grasps.npz"
     plugin = make_plugin(model=taught.result.model, save=path)
@@ -409,7 +395,6 @@ def test_a_file_that_was_not_loaded_is_never_the_one_to_save_to(
     assert (tmp_path / existing).read_bytes() == b"the work of a day"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("way", ["no part", "too few grasps", "stopped", "at the end"])
 def test_a_first_teaching_that_fails_removes_no_file(make_plugin, tmp_path: Path, way: str) -> None:
     path = tmp_path / "m.npz"
@@ -430,7 +415,6 @@ def test_a_first_teaching_that_fails_removes_no_file(make_plugin, tmp_path: Path
     assert path.read_bytes() == b"a model"
 
 
-@pytest.mark.slow
 def test_what_was_forgotten_is_removed_once_it_can_be(make_plugin, taught, tmp_path) -> None:
     path, grasps = tmp_path / "m.npz", tmp_path / "m.grasps.npz"
     plugin = make_plugin(model=taught.result.model, save=path)
@@ -544,7 +528,6 @@ def test_an_idle_cell_in_real_time_is_supervised(make_plugin: Any, meddle: Any) 
 # -- Parts that a host has kept, through the plugin ------------------------------------------------
 
 
-@pytest.mark.slow
 def test_a_part_is_gripped_without_a_name_and_survives_the_end_of_the_host(plugin) -> None:
     job = plugin.start({"task": "grip", "force_n": 3.0, "present": "box"})
     verification = plugin.result(job, LIMIT_S)
@@ -561,7 +544,6 @@ def test_a_part_is_gripped_without_a_name_and_survives_the_end_of_the_host(plugi
     assert grip_n(plugin) > 3.0
 
 
-@pytest.mark.slow
 def test_the_force_of_the_grasps_is_the_hosts(plugin: TactileCellPlugin) -> None:
     job = plugin.start(IdentifyGoal(present="box", force_n=3.5, seed=9))
     plugin.result(job, LIMIT_S)
@@ -625,7 +607,6 @@ def sorter(make_bench: MakeBench, taught: Any) -> Sorter:
     return Sorter(make_bench, taught)
 
 
-@pytest.mark.slow
 def test_each_part_is_held_until_it_is_at_its_place(sorter: Sorter) -> None:
     sorter.sort("ball", "box", "rod")
     assert [(place, held) for place, held, _ in sorter.seen] == [
@@ -658,7 +639,6 @@ def test_a_part_in_another_bin_is_a_mistake_and_a_reject_is_none(taught: Any) ->
     }
 
 
-@pytest.mark.slow
 def test_a_part_that_changed_in_the_grip_goes_to_the_rejects(sorter: Sorter) -> None:
     def shove(destination: Destination) -> None:
         if destination.place != "reject":
@@ -673,7 +653,6 @@ def test_a_part_that_changed_in_the_grip_goes_to_the_rejects(sorter: Sorter) -> 
     assert sorter.progress["mistakes"] == []
 
 
-@pytest.mark.slow
 def test_a_stop_just_before_a_part_is_let_go_keeps_it(sorter: Sorter) -> None:
     verify = sorter.controller.kept_part.verify
 
@@ -690,7 +669,6 @@ def test_a_stop_just_before_a_part_is_let_go_keeps_it(sorter: Sorter) -> None:
     assert sorter.bench.grip_n > 3.0
 
 
-@pytest.mark.slow
 def test_turns_without_a_part_are_counted_and_three_in_a_row_end_the_sort(
     make_bench: MakeBench, taught: Any
 ) -> None:

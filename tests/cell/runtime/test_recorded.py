@@ -50,7 +50,6 @@ SPLIT = "chronological:0.6"
 # -- evaluate ------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_a_file_to_train_on_replaces_the_split(taught: Any) -> None:
     told: list[tuple[str, int, int]] = []
     result = evaluate_recognizers(
@@ -140,7 +139,6 @@ def drifted(taught: Any, tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.slow
 def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(taught, tmp_path) -> None:
     balls = [grasp for grasp in taught.grasps if grasp.label == "ball"]
     model = TaughtModel.load(taught.config, taught.result.model)
@@ -174,7 +172,6 @@ def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(taught, tmp
         model.check_gauge("nut")
 
 
-@pytest.mark.slow
 def test_what_cannot_be_gauged_or_followed_says_why(taught, drifted, tmp_path) -> None:
     command, into = ("model", "calibrate", "-m", taught.result.model), ("-o", tmp_path / "m.npz")
     write_dataset(tmp_path / "few.npz", read_dataset(drifted)[:4])
@@ -209,7 +206,6 @@ def calibrate(taught: Any, tmp_path: Path) -> Callable[..., tuple[str, Any, Any]
     return run
 
 
-@pytest.mark.slow
 def test_calibrate_writes_a_model_that_expects_the_drift(calibrate, drifted) -> None:
     text, report, recognizer = calibrate(drifted, "--gauge", "ball")
     assert "5 grasps of ball: gain" in text
@@ -223,7 +219,6 @@ def test_calibrate_writes_a_model_that_expects_the_drift(calibrate, drifted) -> 
     assert (report["gauge"], report["aperture_mm"] < 0.0) == (None, True)
 
 
-@pytest.mark.slow
 def test_calibrate_on_the_cell_finds_that_nothing_drifted(taught, calibrate, tmp_path) -> None:
     config = tmp_path / "cell.yaml"
     changes = {"recording.directory": str(tmp_path / "out")}
@@ -328,7 +323,6 @@ def test_nothing_asked_is_no_accuracy() -> None:
 # -- teaching ----------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 def test_teaching_goes_on_after_a_grasp_without_a_part_and_ends_where_none_has_one(bench) -> None:
     bench.controller.start()
     bench.once_in(GripperPhase.APPROACHING, bench.simulated.remove)

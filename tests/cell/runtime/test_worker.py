@@ -222,7 +222,6 @@ def test_each_call_of_the_host_is_heard() -> None:
             assert plugin._lease._heard_s > 0.0, call
 
 
-@pytest.mark.slow
 def test_a_lost_recording_holds_the_grasp_where_the_config_says_so_until_there_is_room(
     make_bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -89,7 +89,6 @@ WRONG = """() => {
 """Texts for what overlaps, stands out, or is broken within a word."""
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("locale", ["de-DE", LONG("en-GB")])
 @pytest.mark.parametrize("token", ["view_token", LONG("token")])
 def test_nothing_overlaps_or_breaks_at_any_width(open_page, cell, locale, token) -> None:
@@ -105,7 +104,6 @@ def test_nothing_overlaps_or_breaks_at_any_width(open_page, cell, locale, token)
     assert page.evaluate(WRONG)
 
 
-@pytest.mark.slow
 def test_a_narrow_page_shows_hold_and_the_answer_first(open_page, cell) -> None:
     cell.named()
     page = open_page(wide=False)
@@ -116,7 +114,6 @@ def test_a_narrow_page_shows_hold_and_the_answer_first(open_page, cell) -> None:
     assert hold["y"] < name["y"] < 500 < identify["y"]
 
 
-@pytest.mark.slow
 def test_another_shape_is_remarked_only_with_another_size(open_page, cell) -> None:
     for taught in cell.plugin.objects.values():
         taught |= {"shape": "oval", "size_mm": 9.6}
@@ -138,7 +135,6 @@ def press(page: Any, selector: str, seconds: float) -> None:
     page.mouse.up()
 
 
-@pytest.mark.slow
 def test_the_page_shows_today_yesterday_the_week_and_what_is_confused(open_page, cell) -> None:
     sums = {"parts": 400, "rejected": 3, "missed": 0, "faults": 1}
     pairs = [
@@ -155,7 +151,6 @@ def test_the_page_shows_today_yesterday_the_week_and_what_is_confused(open_page,
     assert fits(page)
 
 
-@pytest.mark.slow
 def test_the_page_shows_the_state_and_commands_once(page, cell) -> None:
     becomes(page, "#state", "Ready")
     becomes(page, "#held_name", "^nut$")
@@ -179,7 +174,6 @@ def test_the_page_shows_the_state_and_commands_once(page, cell) -> None:
     until(lambda: cell.service.lease._heard_s > heard_s)
 
 
-@pytest.mark.slow
 def test_a_name_is_text_wherever_it_stands(open_page, cell) -> None:
     cell.named(EVIL)
     state, nearest = cell.state, {"runner_up": {"label": EVIL, "probability": 0.1}}
@@ -269,7 +263,6 @@ def test_the_cell_is_gauged_with_a_taught_object(open_page, cell) -> None:
     assert at == pytest.approx([152.6, 74.6])
 
 
-@pytest.mark.slow
 def test_an_object_is_taught_and_forgotten(open_page, cell) -> None:
     page = open_page(command=True)
     page.click("#tab_teach")
@@ -361,7 +354,6 @@ def test_health_is_one_line_until_something_is_not_well(page, cell) -> None:
     becomes(page, "#health", "sends no health values")
 
 
-@pytest.mark.slow
 def test_what_is_not_measured_is_a_dash_and_an_old_frame_is_not_shown(open_page, cell) -> None:
     cell.working()
     page = open_page()
