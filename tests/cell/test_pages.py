@@ -228,9 +228,7 @@ def test_benchmarks_that_the_docs_name_exist() -> None:
         ("recognition", "from cell.interfaces.cli import main; main()"),
     ],
 )
-def test_a_module_that_hides_a_package_is_named_where_a_cell_is_wanted(
-    name: str, way: str, tmp_path: Path
-) -> None:
+def test_a_module_that_hides_a_package_is_named_where_a_cell_is_wanted(name, way, tmp_path) -> None:
     hiding = tmp_path / f"{name}.py"
     hiding.write_text("")
     code = f"import sys; sys.path[:0] = [{str(tmp_path)!r}]; import cell.errors; {way}"

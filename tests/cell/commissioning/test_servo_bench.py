@@ -194,9 +194,7 @@ def test_a_hot_servo_ends_its_step(tmp_path: Path) -> None:
     ("n_servos", "torque", "refused"),
     [(1, 0, None), (2, 0, "several servos answer"), (1, 1, "has torque")],
 )
-def test_one_servo_alone_and_without_torque(
-    tmp_path: Path, n_servos: int, torque: int, refused: str | None
-) -> None:
+def test_one_servo_alone_and_without_torque(tmp_path, n_servos, torque, refused) -> None:
     bench = SimulatedBench(n_servos=n_servos)
     bench.servo.set_torque(on=bool(torque))
     lines = Bench(tmp_path, bench)

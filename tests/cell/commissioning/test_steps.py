@@ -380,9 +380,7 @@ def test_a_unit_that_has_a_heartbeat_is_found_by_listening_alone(stand) -> None:
 
 
 @pytest.mark.parametrize("bitrate", [500_000, 250_000])
-def test_another_bit_rate_is_found_and_the_period_fits_it(
-    make_stand: MakeStand, bitrate: int
-) -> None:
+def test_another_bit_rate_is_found_and_the_period_fits_it(make_stand, bitrate) -> None:
     finding = make_stand(unit=ControlUnitSettings(bitrate=bitrate)).passes(UNIT)
     assert finding.settings["tactile.bitrate"] == bitrate
     assert f"{bitrate:,} bit/s" in finding.lines[0]

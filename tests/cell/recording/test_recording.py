@@ -641,9 +641,7 @@ def written_again(
     ],
     ids=str,
 )
-def test_each_legal_file_is_read_and_recovered_whole(
-    how: dict[str, Any], three: Path, tmp_path: Path
-) -> None:
+def test_each_legal_file_is_read_and_recovered_whole(how, three, tmp_path) -> None:
     before, again = read_recording(three), written_again(three, tmp_path / "a.mcap", **how)
     after = read_recording(again)
     assert (after.complete, after.lost_reason) == (True, "")
@@ -707,9 +705,7 @@ def test_a_recording_that_lacks_frames_is_not_complete(
         (lambda data: data[: data.index(b"zstd")], "cut off"),
     ],
 )
-def test_a_file_of_which_nothing_can_be_read_is_not_recovered(
-    spoil: Callable[[bytes], bytes], says: str, three: Path, tmp_path: Path
-) -> None:
+def test_a_file_of_which_nothing_can_be_read_is_not_recovered(spoil, says, three, tmp_path) -> None:
     path = written_again(three, tmp_path / "a.mcap", chunk_size=1 << 30, described_last=False)
     path.write_bytes(spoil(path.read_bytes()))
     with pytest.raises(RecordingError, match=rf"nothing of .* can be recovered: .*{says}"):

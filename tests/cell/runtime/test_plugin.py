@@ -201,9 +201,7 @@ def test_a_job_that_is_cancelled_as_soon_as_it_is_accepted_is_cancelled(plugin: 
         assert plugin.status().state == "IDLE"
 
 
-def test_a_plugin_that_is_dropped_disconnects_and_ends_its_threads(
-    plugin_class: Any, taught: Any
-) -> None:
+def test_a_plugin_that_is_dropped_disconnects_and_ends_its_threads(plugin_class, taught) -> None:
     # The mover refers to the host: only the collector finds that nobody does.
     host = list[Any]()
     mover = partial(lambda _host, _pose: None, host)

@@ -651,9 +651,7 @@ def test_a_fault_of_the_start_is_in_the_history(stored: Stored) -> None:
     assert stored.history.values()["today"]["faults"] == 1
 
 
-def test_without_a_word_what_was_held_the_second_label_counts_where_it_is_near(
-    stored: Stored,
-) -> None:
+def test_without_a_word_what_was_held_the_second_label_counts_where_it_is_near(stored) -> None:
     for _ in range(3):
         stored.add(part("pin"))  # the second has 0.1
     assert stored.look()["today"]["confused"] == [
@@ -671,9 +669,7 @@ def test_a_clock_that_leaps_loses_no_day(stored: Stored) -> None:
     assert len(read_day(stored.path, date(2027, 3, 1))) == 2
 
 
-def test_the_first_days_go_when_there_are_many(
-    stored: Stored, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_first_days_go_when_there_are_many(stored, monkeypatch) -> None:
     monkeypatch.setattr(history, "MOST_DAYS", 3)
     for day in range(5):
         stored.now_s = MONDAY_S + day * DAY_S
