@@ -2,7 +2,7 @@
 
 import json
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import asdict
 from math import radians
@@ -242,19 +242,6 @@ def test_a_drive_that_fails_in_a_carry_leaves_the_part_in_the_grip(
     bench.sleep(1.0)
     assert bench.grip_n > 1.0
     assert not any(axis.moving for axis in bench.simulated.devices.axes.values())
-
-
-def test_a_person_brings_the_object_where_nothing_is_simulated() -> None:
-    asked: list[str | None] = []
-
-    def bring(label: str | None, supervise: Callable[[], None]) -> None:
-        supervise()
-        asked.append(label)
-
-    looked: list[bool] = []
-    positioner = AxesPositioner(axes=None, moved=(), bring=bring, phase=lambda: GripperPhase.IDLE)  # type: ignore[arg-type]
-    positioner.present("ball", lambda: looked.append(True))
-    assert (asked, looked) == (["ball"], [True])
 
 
 def test_the_fingers_are_supervised_while_the_axes_move(bench: Any) -> None:

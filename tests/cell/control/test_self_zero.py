@@ -216,10 +216,7 @@ def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path
     assert said.startswith("pads meet at ")
     assert "since the last measurement" not in said
     assert abs(json.loads((tmp_path / "zero.json").read_text())["opening_m"]) < 2e-4
-    config = CellConfig()
-    here = config.model_copy(
-        update={"recording": config.recording.model_copy(update={"directory": str(tmp_path)})}
-    )
+    here = changed_config(CellConfig(), {"recording.directory": str(tmp_path)})
     finding = next(one for one in examine(here) if one.what == "self-zero")
     assert (finding.verdict, finding.advice) == (Verdict.PASS, "")
     assert "pads meet at" in finding.text

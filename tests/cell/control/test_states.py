@@ -126,13 +126,6 @@ def test_every_state_can_fault_and_leaving_a_fault_takes_clear_and_reset() -> No
     assert state is CellState.STOPPED
 
 
-def test_refusal_names_what_is_allowed() -> None:
-    with pytest.raises(
-        ValueError, match=r"HELD; allowed: release, shutdown; 'grasp' is not allowed"
-    ):
-        next_state(CellState.HELD, Event.EXECUTE)
-
-
 # -- the cell does as the table says ---------------------------------------------------------
 
 

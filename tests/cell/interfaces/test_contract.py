@@ -191,6 +191,8 @@ def test_a_fault_is_a_number_until_it_is_cleared(connect: Connect) -> None:
     assert host.acquire() == 0
     served.plugin.pause()
     assert host.send(GRIP, 1) == 1
+    served.plugin.stop_recording("No space left on device")
+    check_values(host, recording=True)
     for number, reboot in ((2, False), (3, True)):
         served.plugin.fail(ServoFault(1, 0x20, "overload"))
         check_values(host, state=ABORTED, fault=109, needs_reset=False, holding=True, force_n=None)
@@ -201,12 +203,6 @@ def test_a_fault_is_a_number_until_it_is_cleared(connect: Connect) -> None:
         assert served.plugin.asked[-1] == (Command.CLEAR, reboot)
         check_values(host, fault=0, needs_reset=True)
     assert served.grip_n > 1.0
-
-
-def test_a_recording_that_has_stopped_is_shown(connect: Connect) -> None:
-    served, host = connect()
-    served.plugin.stop_recording("No space left on device")
-    check_values(host, recording=True)
 
 
 def test_poses_are_reached_or_refused(connect: Connect) -> None:

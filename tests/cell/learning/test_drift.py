@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cell.config.file import changed_config
 from cell.control.identification import EarlyDecider, Identification
 from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState
@@ -332,10 +333,8 @@ def test_a_check_that_fails_is_a_complaint_and_the_ramp_goes_on(bench) -> None:
 
 def test_by_touch_alone_and_for_other_kinds_ramps_are_whole(taught) -> None:
     for name, use_aperture in (("force_ramp", True), ("level_check", True), ("force_ramp", False)):
-        recognition = {"recognizer": name, "use_aperture": use_aperture}
-        config = taught.config.model_copy(
-            update={"recognition": taught.config.recognition.model_copy(update=recognition)}
-        )
+        changes = {"recognition.recognizer": name, "recognition.use_aperture": use_aperture}
+        config = changed_config(taught.config, changes)
         model = TaughtModel(config, training_set=taught.grasps)
         model.train()
         assert model.ends_early is (name == "force_ramp" and use_aperture)

@@ -32,7 +32,7 @@ from cell.report.recorded import (
     pressure_view,
     recorded_report,
 )
-from cell.report.shapes import MAX_BARS, ShapeRow, shapes_view
+from cell.report.shapes import MAX_BARS, shapes_view
 from gripper.force.timing import LoopStatistics
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.statistics.fusion import fuse
@@ -255,10 +255,6 @@ def test_unwritable_place_is_a_clear_error(tmp_path) -> None:
 # -- shape and size ----------------------------------------------------------------------------
 
 
-def shape_row(truth: str, shape: Any, answer: str = "ball") -> ShapeRow:
-    return truth, answer, shape
-
-
 def test_shape_and_size_stand_beside_each_identification() -> None:
     p = Posterior(labels=("ball", "box"), probability=np.array([0.9, 0.1]), unknown=0.01)
     pin = make_shape("cylinder", 6.1)
@@ -266,15 +262,15 @@ def test_shape_and_size_stand_beside_each_identification() -> None:
     page = page_of(p.labels, answers=answers)
     assert "cylinder, 6.1 mm (5.8 to 6.4)" in page
     assert "a cylinder of 6.1 mm (5.8 to 6.4)" in page
-    assert shapes_view([shape_row("pin", None)]) is None
+    assert shapes_view([("pin", "ball", None)]) is None
 
 
 def test_all_shapes_are_drawn_on_one_scale() -> None:
     rows = (
-        shape_row("pin", make_shape("cylinder", 6.0)),
-        shape_row("pin", make_shape("oval", 6.2)),
-        shape_row("pin", None),
-        shape_row("bar", make_shape("flat", 10.0, 15.9), UNKNOWN),
+        ("pin", "ball", make_shape("cylinder", 6.0)),
+        ("pin", "ball", make_shape("oval", 6.2)),
+        ("pin", "ball", None),
+        ("bar", UNKNOWN, make_shape("flat", 10.0, 15.9)),
     )
     view = shapes_view(rows, {"pin": "true 6.0 mm"})
     pin, bar = view["groups"]
@@ -292,7 +288,7 @@ def test_all_shapes_are_drawn_on_one_scale() -> None:
     page = page_of(shapes=view)
     assert f"UNKNOWN: {stranger}" in page
     assert f'style="left:{at(15.9e-3):.2f}%"' in page
-    many = shapes_view([shape_row("pin", make_shape("oval", 6.2), UNKNOWN)] * (MAX_BARS + 5))
+    many = shapes_view([("pin", UNKNOWN, make_shape("oval", 6.2))] * (MAX_BARS + 5))
     (group,) = many["groups"]
     assert (len(group["shapes"]), group["kinds"]) == (MAX_BARS, "oval 35 of 35")
     assert (len(many["strangers"]), many["n_hidden"]) == (MAX_BARS, 5)

@@ -64,7 +64,14 @@ def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(plugin: Any) -> N
         done(plugin, TeachGoal(label="pin", grasps=1, present="ball"))
     assert failed.value.fault_number == 519
     assert (plugin.labels, plugin.status().state) == (("ball", "box"), "IDLE")
-    assert done(plugin, TeachGoal(label="pin", grasps=2, present="ball", seed=1)) == 2
+    job = plugin.start(TeachGoal(label="pin", grasps=2, present="ball", seed=1))
+    assert plugin.result(job, LIMIT_S) == 2
+    progress = dict(plugin.feedback(job).progress)
+    each = progress.pop("each")
+    assert [one["force_n"] > 1.0 and 5.0 < one["size_mm"] < 18.0 for one in each] == [True] * 2
+    assert progress.pop("taught").items() >= {"label": "pin", "n_grasps": 3}.items()
+    expected = {"task": "teach", "label": "pin", "grasps": 2, "missed": 0, "of": 2, "short": ""}
+    assert progress == expected
     assert plugin.labels == ("ball", "box", "pin")
 
 
@@ -117,37 +124,6 @@ def test_a_reset_of_the_simulation_ends_a_fault_and_leaves_nothing_in_the_grip(p
         plugin.result(plugin.begin_simulation_reset(), LIMIT_S)
         assert (plugin.status().state, grip_n(plugin)) == ("IDLE", 0.0)
         assert plugin.simulate({"state": True})["faults"] == {}
-
-
-def test_teach_then_identify(make_plugin: Any) -> None:
-    plugin = make_plugin(quick_config(sequence__force_n=[2.0, 4.0]))
-    for label in ("ball", "box"):
-        job = plugin.start(TeachGoal(label=label, grasps=3, seed=len(label)))
-        assert plugin.result(job, LIMIT_S) == 3
-        status = plugin.feedback(job)
-        assert status.outcome is JobOutcome.SUCCEEDED
-        progress = dict(status.progress)
-        each = progress.pop("each")
-        assert [one["force_n"] > 1.0 and 5.0 < one["size_mm"] < 18.0 for one in each] == [True] * 3
-        assert progress.pop("taught") == {
-            "label": label,
-            "n_grasps": 3,
-            "nearest": None,  # three grasps are too few to leave some out
-            "mistaken_share": None,
-        }
-        expected = {"task": "teach", "label": label, "grasps": 3, "missed": 0, "of": 3, "short": ""}
-        assert progress == expected
-    assert plugin.labels == ("ball", "box")
-    job = plugin.start({"task": "identify", "max_grasps": 3, "present": "box", "seed": 9})
-    answer, progress = plugin.result(job, LIMIT_S), plugin.feedback(job).progress
-    # Three grasps teach little: what is named may be UNKNOWN.
-    assert answer.probabilities["box"] > answer.probabilities["ball"]
-    assert answer.probability == answer.probabilities[answer.label]
-    assert (answer.shape.kind, answer.shape.n_grasps) == ("flat", answer.n_grasps)
-    reported = {"task": "identify", "grasps": answer.n_grasps, "of": 3, "best": answer.label}
-    assert {name: progress[name] for name in reported} == reported
-    assert progress["shape"].startswith("flat, ")
-    assert plugin.status().state == "IDLE"
 
 
 # -- cancelling --------------------------------------------------------------------------------
@@ -544,8 +520,12 @@ def test_a_part_is_gripped_without_a_name_and_survives_the_end_of_the_host(plugi
 
 def test_the_force_of_the_grasps_is_the_hosts(plugin: TactileCellPlugin) -> None:
     job = plugin.start(IdentifyGoal(present="box", force_n=3.5, seed=9))
-    plugin.result(job, LIMIT_S)
-    assert plugin.feedback(job).progress["force_n"] == 3.5
+    answer, progress = plugin.result(job, LIMIT_S), plugin.feedback(job).progress
+    assert answer.probability == answer.probabilities[answer.label]
+    assert (answer.shape.kind, answer.shape.n_grasps) == ("flat", answer.n_grasps)
+    reported = {"task": "identify", "grasps": answer.n_grasps, "best": answer.label}
+    assert progress.items() >= (reported | {"of": 4, "force_n": 3.5}).items()
+    assert progress["shape"].startswith("flat, ")
     with pytest.raises(ConfigError, match="force_n"):
         plugin.start({"task": "identify", "force_n": 0.0})
     with pytest.raises(JobFailed, match="the ramp asks for 50"):
