@@ -144,12 +144,15 @@ def test_a_paced_cell_lives_on_while_no_command_runs(make_bench) -> None:
 # -- The simulated cell as the config describes it -------------------------------------------------
 
 
-def test_the_servos_differ_as_the_config_says() -> None:
-    keys = {"gearing": "ideal", "friction": [1.5, 1.0], "kt": [0.8, 1.1]}
+def test_servos_and_noise_are_as_the_config_says() -> None:
+    keys = {"servos.gearing": "ideal", "servos.friction": [1.5, 1.0], "servos.kt": [0.8, 1.1]}
+    keys |= {"noise": "none", "noise_level": 0.5}
     config = changed_config(
-        CellConfig(), {f"simulator.servos.{key}": value for key, value in keys.items()}
+        CellConfig(), {f"simulator.{key}": value for key, value in keys.items()}
     )
-    with SimulatedCell(simulator_settings(config)) as cell:
+    settings = simulator_settings(config)
+    assert (settings.noise.kind, settings.noise.level) == ("none", 0.5)
+    with SimulatedCell(settings) as cell:
         first, second = cell.devices.mechanics.motors
     assert first.gearing is GEARINGS["ideal"]
     assert (first.friction_factor, second.friction_factor) == (1.5, 1.0)
@@ -311,9 +314,14 @@ def test_a_cell_grasps_and_records_on_boards_of_each_profile(make_bench, profile
     bench = make_bench(config, folder=tmp_path).ready()
     grasp = bench.grasp(4.0).grasp
     assert grasp.force_n[-1] > 3.0
-    health = bench.cell.health()["tactile"]
-    assert health["complete"] > 60
-    assert (health["torn"], health["force_received"], health["void_frames"]) == (0, 0, 0)
+    health = bench.cell.health()
+    assert (health["loop"]["cycles"] > 100, health["servo_bus"]["transactions"] > 300) == (
+        True,
+        True,
+    )
+    frames = health["tactile"]
+    assert frames["complete"] > 60
+    assert (frames["torn"], frames["force_received"], frames["void_frames"]) == (0, 0, 0)
     bench.cell.close()
     (recorded,) = read_grasps(tmp_path / "recording.mcap")
     assert (recorded.counts == grasp.counts).all()
