@@ -9,20 +9,23 @@ from typer.testing import CliRunner
 
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration
+from cell.control.part import Part
 from cell.control.plan import Pose
 from cell.control.records import pad_array
 from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.app import app
 from cell.learning.drawing import course_of, reaches_m, teach_drawing
-from cell.learning.shape_reading import shape_reader, usual_foam
+from cell.learning.shape_reading import after_label, in_words, shape_reader, usual_foam
 from cell.recording.dataset import read_dataset, write_dataset
 from cell.runtime.goals import checked_goal
 from cell.simulation import drawn_shape, simulator_settings
 from recognition.ramp.ramp import find_ramp, learn_rest
 from recognition.recognizer import UNKNOWN
+from recognition.shape.answer import UNCLEAR
 from recognition.shape.foam import PadBed
 from simulator.world.taxels import ideal_counts
 from tests.cell.conftest import call
+from tests.values import make_shape
 
 BALL = "sphere:diameter=9.5mm"
 BOX = "box:length=15.9mm,width=10mm,height=10mm"
@@ -239,3 +242,30 @@ def test_one_servo_moves_both_fingers_in_larger_steps() -> None:
     one_m = course_of(config.model_copy(update={"gripper": alone})).aperture_step_m
     assert one_m == pytest.approx(2 * both_m)
     assert both_m == pytest.approx(60e-3 * 2 * np.pi / 4096)
+
+
+# -- Shape and size in words -----------------------------------------------------------------------
+
+
+BAR = make_shape("flat", 10.0, 15.9, half_mm=0.4, n_grasps=2)
+
+
+def test_what_has_no_name_is_described() -> None:
+    pin = make_shape("cylinder", 10.0, half_mm=0.4)
+    assert after_label(UNKNOWN, pin) == ": a cylinder of 10.0 mm (9.6 to 10.4)"
+    assert after_label("pin", pin) == "; cylinder, 10.0 mm (9.6 to 10.4)"
+    assert after_label(UNKNOWN, None) == ""
+    assert in_words(replace(pin, kind=UNCLEAR)) == "an unclear shape of 10.0 mm (9.6 to 10.4)"
+
+
+def test_all_thicknesses_are_told() -> None:
+    told = "10.0 mm (9.6 to 10.4) and 15.9 mm (15.5 to 16.3)"
+    assert in_words(BAR) == f"a flat object of {told}"
+    assert str(BAR) == f"flat, {told}"
+
+
+def test_a_host_gets_millimetres() -> None:
+    part = Part(shape=BAR)
+    assert part.size_mm == pytest.approx(15.9)
+    fields = part.model_dump()
+    assert (fields["shape"], fields["interval_mm"]) == ("flat", pytest.approx((15.5, 16.3)))

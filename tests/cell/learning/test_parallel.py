@@ -1,19 +1,28 @@
-"""Evaluation spread over processes gives what one process gives."""
+"""Evaluation spread over processes, and threads of the linear algebra."""
 
 import os
 import signal
+from collections.abc import Iterator
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from benchmarks.paper.grasps import PAPER_NOISE, random_grasp
 from cell.errors import CellError
+from cell.learning.blas import one_blas_thread
 from cell.learning.parallel import workers
+from cell.learning.taught_model import TaughtModel
+from cell.learning.training import train
+from cell.runtime.goals import IdentifyGoal
+from cell.runtime.tasks import ModelFile, Tasks
 from recognition.evaluation.evaluation import Evaluation, evaluate
 from recognition.grasp import Grasp
 from recognition.recognizers import make_trainer
 from simulator.world.shapes import PAPER_OBJECTS
+from tests.cell.conftest import SURE, Scripted
 
 
 @pytest.fixture(scope="module")
@@ -59,3 +68,52 @@ def test_work_that_ends_its_process_is_an_error() -> None:
 
     with workers(2) as mapper, pytest.raises(CellError, match="ended at its work"):
         list(mapper(dies, [1, 2, 3]))
+
+
+# -- Threads of the linear algebra -----------------------------------------------------------------
+
+
+HOST_THREADS = 2
+
+
+def threads() -> set[int]:
+    """Threads of each BLAS library of this process."""
+    return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+
+
+@pytest.fixture
+def host() -> Iterator[None]:
+    """A host that has given BLAS two threads."""
+    with threadpool_limits(HOST_THREADS, user_api="blas"):
+        yield
+
+
+@pytest.mark.usefixtures("host")
+def test_blocks_within_each_other_end_with_the_outer_one() -> None:
+    with one_blas_thread():
+        with one_blas_thread():
+            assert threads() == {1}
+        assert threads() == {1}
+    assert threads() == {HOST_THREADS}
+
+
+@pytest.mark.usefixtures("host")
+def test_an_error_gives_the_threads_back() -> None:
+    with pytest.raises(ZeroDivisionError), one_blas_thread():
+        raise ZeroDivisionError
+    assert threads() == {HOST_THREADS}
+
+
+@pytest.mark.usefixtures("host")
+def test_training_and_answering_have_one_thread(make_bench, taught, monkeypatch) -> None:
+    noting: Any = Scripted(SURE, look=threads)
+    noting.fit = lambda _grasps: noting.seen.append(threads()) or noting
+    monkeypatch.setattr("cell.learning.training.RECOGNIZERS", {"force_ramp": lambda **_: noting})
+    assert train([], "force_ramp").recognizer.labels == ("ball", "box")
+    model = TaughtModel(taught.config, training_set=taught.grasps)
+    model.train()
+    bench = make_bench(taught.config)
+    bench.controller.start()
+    Tasks(bench.controller, ModelFile(model, None)).named(IdentifyGoal(present="ball"))
+    assert noting.seen == [{1}] * 3
+    assert threads() == {HOST_THREADS}
