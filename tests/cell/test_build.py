@@ -147,11 +147,12 @@ def test_a_paced_cell_lives_on_while_no_command_runs(make_bench) -> None:
 def test_servos_and_noise_are_as_the_config_says() -> None:
     keys = {"servos.gearing": "ideal", "servos.friction": [1.5, 1.0], "servos.kt": [0.8, 1.1]}
     keys |= {"noise": "none", "noise_level": 0.5}
-    config = changed_config(
-        CellConfig(), {f"simulator.{key}": value for key, value in keys.items()}
+    changes = {f"simulator.{key}": value for key, value in keys.items()}
+    settings = simulator_settings(
+        changed_config(CellConfig(), changes | {"tactile.bitrate": 500_000})
     )
-    settings = simulator_settings(config)
     assert (settings.noise.kind, settings.noise.level) == ("none", 0.5)
+    assert settings.unit.bitrate == 500_000
     with SimulatedCell(settings) as cell:
         first, second = cell.devices.mechanics.motors
     assert first.gearing is GEARINGS["ideal"]

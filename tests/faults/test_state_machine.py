@@ -1,10 +1,8 @@
 """Random commands and faults: after each step all invariants hold."""
 
 import logging
-import re
 import shutil
 import tempfile
-import traceback
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, nullcontext, suppress
 from pathlib import Path
@@ -628,15 +626,3 @@ def test_an_error_without_a_type_and_a_command_without_an_end_are_found(cell: Dr
     for call, complaint in ((fail, "ended with KeyError"), (hang, "did not end within its time")):
         with pytest.raises(InvariantBroken, match=complaint):
             cell.command("x", call)
-
-
-@pytest.mark.slow
-def test_a_defect_is_reported_with_its_seed_and_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Driver, "wait", lambda self, _s: self.monitor.broken.append("so"))
-    # What does not happen a second time is in a group.
-    with pytest.raises((InvariantBroken, ExceptionGroup)) as caught:
-        run_machine(400, 1)
-    assert caught.value.__notes__[-1] == "seed 1"
-    text = "".join(traceback.format_exception(caught.value))
-    assert "InvariantBroken: so" in text
-    assert re.search(r"\n[ |]*after\n", text)

@@ -9,8 +9,6 @@ import struct
 import tempfile
 import tracemalloc
 import zipfile
-from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,20 +18,17 @@ import trimesh
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cell.control.journal import Journal
 from cell.errors import DatasetError, ModelError, RecordingError
 from cell.learning.model import _digest, load_model, save_model
 from cell.learning.training import train
 from cell.recording.dataset import read_dataset, write_dataset
 from cell.recording.reader import Recording, read_recording, recover_recording
-from cell.recording.recorder import Recorder
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp
 from simulator.errors import SimulatorSettingsError
 from simulator.world.shape_files import load_mesh
-from tactile.source import TactileFrame
-from tests.fuzz.harness import Clock, bad_input, damages, good_grasps, same_grasps, spoilt
-from tests.values import make_cycle
+from tests.cell.recording.test_recording import record
+from tests.fuzz.harness import bad_input, damages, good_grasps, same_grasps, spoilt
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:Reading `.npy` or `.npz` file required additional header:UserWarning",
@@ -199,19 +194,9 @@ def test_packings_that_unpack_without_a_bound_are_refused(tmp_path: Path, method
 @functools.cache
 def good() -> tuple[bytes, Recording]:
     """Return the bytes of a recording of two short grasps, and what is read of it."""
-    clock = Clock()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "good.mcap"
-        with closing(Recorder(path, clock, pads=good_grasps()[0].pads)) as recorder:
-            for grasp in good_grasps()[:2]:
-                times_s = clock.now_s + 0.03 * np.arange(1, 1 + len(grasp.counts))
-                for i, clock.now_s in enumerate(times_s.tolist()):
-                    recorder.frame(
-                        TactileFrame(t_s=clock.now_s, counter=i, status=0, counts=grasp.counts[i])
-                    )
-                    recorder.cycle(make_cycle(clock.now_s))
-                recorder.grasp(replace(grasp, t_s=times_s - times_s[0]))
-            Journal(recorder).note("state", "COMPLETE")
+        record(path, n_grasps=2)
         data, recording = path.read_bytes(), read_recording(path)
     assert (recording.complete, len(recording.grasps)) == (True, 2)
     return data, recording

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from unittest.mock import Mock
 
@@ -98,17 +98,9 @@ def run(program: str) -> subprocess.CompletedProcess[bytes]:
     )
 
 
-@pytest.fixture
-def hangup(request: pytest.FixtureRequest) -> Iterator[None]:
-    """SIGHUP as in a terminal, or ignored as under nohup, wherever the tests were started."""
-    before = signal.signal(signal.SIGHUP, request.param)
-    yield
-    signal.signal(signal.SIGHUP, before)
-
-
-@pytest.mark.usefixtures("hangup")
-@pytest.mark.parametrize("hangup", [signal.SIG_DFL], indirect=True)
-def test_the_death_of_the_parent_stops_once(monkeypatch) -> None:
+def test_the_death_of_the_parent_stops_once(monkeypatch, undo) -> None:
+    # As in a terminal, wherever the tests were started.
+    undo.callback(signal.signal, signal.SIGHUP, signal.signal(signal.SIGHUP, signal.SIG_DFL))
     stopped, calls = threading.Event(), list[int]()
 
     def stop() -> None:
@@ -122,9 +114,8 @@ def test_the_death_of_the_parent_stops_once(monkeypatch) -> None:
     assert calls == [1]
 
 
-@pytest.mark.usefixtures("hangup")
-@pytest.mark.parametrize("hangup", [signal.SIG_IGN], indirect=True)
-def test_a_program_under_nohup_outlives_terminal_and_parent(monkeypatch) -> None:
+def test_a_program_under_nohup_outlives_terminal_and_parent(monkeypatch, undo) -> None:
+    undo.callback(signal.signal, signal.SIGHUP, signal.signal(signal.SIGHUP, signal.SIG_IGN))
     calls: list[int] = []
     with stopping(lambda: calls.append(1)):
         monkeypatch.setattr(os, "getppid", lambda: 1)
