@@ -29,7 +29,8 @@ from recognition.recognizer import Posterior
 from simulator.clock import VirtualClock
 from tests.values import make_pads
 
-WHOLE = {"make_bench", "make_plugin", "taught", "open_page", "aged"}
+WHOLE = {"make_bench", "make_plugin", "make_stand", "grasped", "taught"}
+WHOLE |= {"open_page", "fleet", "aged"}
 """Fixtures of whole cells, browsers and fleets."""
 
 

@@ -64,7 +64,6 @@ def every(target: str) -> list[dict[str, Any]]:
     )
 
 
-@pytest.mark.slow
 def test_work_that_is_done_twice_and_a_second_run_add_nothing(fleet, archived, tmp_path) -> None:
     def twice(work: Callable[[Any], Any], items: Any, /) -> Iterator[Any]:
         """Do each piece again, as after the death of a worker that had done it."""
@@ -81,7 +80,6 @@ def test_work_that_is_done_twice_and_a_second_run_add_nothing(fleet, archived, t
     assert len(every(target)) == 36
 
 
-@pytest.mark.slow
 def test_a_row_leads_back_to_its_recording(archived) -> None:
     row = next(one for one in every(archived) if one["answer"])
     grasp = recording_grasps(row["recording"])[row["grasp"]]
@@ -327,7 +325,6 @@ def test_duckdb_reads_the_table(archived) -> None:
     assert all(row[2] > 0 for row in rows)
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_the_example_trains_and_evaluates_with_a_scheduler_and_two_workers(
     fleet, archived, tmp_path

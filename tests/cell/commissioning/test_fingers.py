@@ -85,7 +85,6 @@ def test_one_servo_with_a_pinion(make_stand) -> None:
     assert linkage["pinion_radius_mm"] == pytest.approx(20.0, rel=0.02)
 
 
-@pytest.mark.slow
 def test_directions_zero_and_linkage_of_badly_mounted_servos(limp) -> None:
     stand = limp("servo2.turned", "servo1.horn=164")
     second_first = {"Open one finger": ("open 1", ""), "open the other": ("open 0", "")}
@@ -107,7 +106,6 @@ def test_directions_zero_and_linkage_of_badly_mounted_servos(limp) -> None:
     assert stand.person.script.watched
 
 
-@pytest.mark.slow
 def test_a_wrong_linkage_and_opening_of_the_config_are_named(stand) -> None:
     wrong = {
         "gripper.linkage": {"kind": "rack_pinion", "pinion_radius_mm": 40.0},
@@ -122,7 +120,6 @@ def test_a_wrong_linkage_and_opening_of_the_config_are_named(stand) -> None:
     assert opening.startswith("gripper.aperture_open_mm was 150, is now 11")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("tight", ["close", LONG("open")])
 def test_a_first_motion_begins_with_room_on_both_sides(stand, tight) -> None:
     stand.passes(STEP, fingers__free=[stand.does("empty", tight), stand.does("half")])
@@ -144,7 +141,6 @@ def drifting(stand: Stand) -> None:
     stand.cell.inject("servo1.drift=-0.2")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "reply", "named"),
     [
@@ -189,7 +185,6 @@ def test_no_linkage_is_proposed_where_the_measurements_do_not_tell(stand) -> Non
         assert text.endswith(KINDS[kind].partition("\n")[2])
 
 
-@pytest.mark.slow
 def test_a_thickness_that_was_typed_wrong_is_found(stand) -> None:
     replies: dict[str, Any] = {
         "fingers.on_block2": stand.does("block 30"),
@@ -205,14 +200,12 @@ def test_a_thickness_that_was_typed_wrong_is_found(stand) -> None:
     assert "the residual is above 0.5 mm: measure the blocks again" in "\n".join(notes.lines)
 
 
-@pytest.mark.slow
 def test_one_block_is_enough_and_worth_a_word(stand) -> None:
     notes = stand.run(STEP, fingers__block2=0.0)
     assert notes.status is Verdict.WARN
     assert notes.settings["gripper.linkage"]["link_mm"] == pytest.approx(60.0, rel=0.05)
 
 
-@pytest.mark.slow
 def test_leaving_at_each_question_leaves_no_torque(stand) -> None:
     stand.run(STEP)
     for place in [*stand.person.script.asked, "approve"]:

@@ -129,14 +129,12 @@ def paper(make_stand: MakeStand) -> MakeStand:
     return make
 
 
-@pytest.mark.slow
 def test_a_law_that_is_right_passes_and_changes_nothing(paper: MakeStand) -> None:
     finding = paper().passes(LAW)
     assert finding.settings == {}
     assert finding.values["factor"] == pytest.approx(1.0, abs=0.05)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("measured", [0.8, LONG(1.25)])
 def test_a_law_that_is_off_is_named_and_set_right(paper: MakeStand, measured: float) -> None:
     finding = paper(f"taxels.force_gain={measured}").run(LAW)
@@ -148,7 +146,6 @@ def test_a_law_that_is_off_is_named_and_set_right(paper: MakeStand, measured: fl
     assert f"tactile.calibration.gain was 1, is now {gain:.3g}" in finding.lines[-1]
 
 
-@pytest.mark.slow
 def test_a_linear_law_is_set_by_its_force_of_a_count(make_stand: MakeStand) -> None:
     stand = make_stand(law=SensorLaw(full_scale_n=0.0012 * 4095))
     law = {"kind": "linear", "force_per_count_n": 0.001}

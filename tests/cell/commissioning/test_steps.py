@@ -50,7 +50,6 @@ def eeproms(stand: Stand) -> list[bytes]:
     return [bytes(s.registers.data[:64]) for s in stand.cell.devices.servo_bus.servos]
 
 
-@pytest.mark.slow
 def test_factory_new_servos_are_numbered_one_at_a_time(new, tmp_path) -> None:
     notes = new.passes(SERVOS)
     script = new.person.script
@@ -117,7 +116,6 @@ def test_a_second_servo_that_is_not_there_after_all_is_not_waited_for(new) -> No
     assert [servo["id"] for servo in stand.settings["gripper.servos"]] == [1]
 
 
-@pytest.mark.slow
 def test_restore_brings_back_all_but_the_address(new, tmp_path) -> None:
     before = eeproms(new)
     new.run(SERVOS)
@@ -152,7 +150,6 @@ def test_no_line_is_opened_for_a_backup_of_another_servo(stand, tmp_path) -> Non
     assert stand.lines.opened == []
 
 
-@pytest.mark.slow
 def test_torque_that_holds_a_part_is_not_switched_off_unasked(make_stand) -> None:
     stand = make_stand("servo1.wrong=homing_offset:100")
     for servo in stand.cell.devices.servo_bus.servos:
@@ -185,7 +182,6 @@ def grasped(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stand, N
         yield stand, stand.run(FIRST_FORCE, first_force__most=lambda: None)
 
 
-@pytest.mark.slow
 def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(grasped) -> None:
     stand, finding = grasped
     assert finding.status is Verdict.PASS, finding.lines
@@ -208,7 +204,6 @@ def stored_drives(stand: Stand) -> list[DriveCharacteristic]:
     return list(stored.stored_drives(dict.fromkeys(stored.drives, 0)).values())
 
 
-@pytest.mark.slow
 def test_what_it_measures_of_the_servos_is_kept_for_the_cell(grasped) -> None:
     for drive in stored_drives(grasped[0]):
         assert drive.measured
@@ -216,7 +211,6 @@ def test_what_it_measures_of_the_servos_is_kept_for_the_cell(grasped) -> None:
         assert drive.kt_per_back_emf is not None
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("watchdog_ms", [LONG(100.0), 500.0])
 def test_the_self_test_of_the_watchdog_closes_no_further_than_was_shown(quiet, watchdog_ms) -> None:
     quiet.knows(gripper__watchdog_ms=watchdog_ms)
@@ -269,7 +263,6 @@ def test_a_person_stops_a_motion_while_it_runs(quiet, moment, error) -> None:
     assert quiet.torques == ([1, 1] if grasps else [0, 0])
 
 
-@pytest.mark.slow
 def test_fingers_that_find_no_part_fail_the_step(quiet) -> None:
     finding = quiet.run(FIRST_FORCE, first_force__part=lambda: None)
     assert finding.status is Verdict.FAIL
@@ -284,7 +277,6 @@ REST, FORCE = PADS_AT_REST, FIRST_FORCE
 WARN, FAIL = Verdict.WARN, Verdict.FAIL
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("step", "fault", "status", "named"),
     [
@@ -328,7 +320,6 @@ def test_what_is_wrong_is_named(make_stand, step, fault, status, named) -> None:
     assert status is WARN or not finding.settings
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("step", "faults"), [(SERVOS, ["servo1.factory"]), (FINGERS, []), (UNIT, []), (FORCE, [])]
 )
