@@ -43,7 +43,7 @@ def good(learnt: LevelCheckRecognizer, tmp_path_factory: pytest.TempPathFactory)
     return path
 
 
-def test_loaded_model_answers_like_the_taught_one(learnt, good) -> None:
+def test_loaded_model_answers_like_the_taught_one(learnt, good, tmp_path) -> None:
     loaded = load_model(good, PADS)
     assert (loaded.labels, loaded.trainer_name) == (("bar", "block"), "level_check")
     assert loaded.pads.same_as(PADS)
@@ -51,22 +51,15 @@ def test_loaded_model_answers_like_the_taught_one(learnt, good) -> None:
         was, now = learnt.posterior(grasp), loaded.recognizer.posterior(grasp)
         np.testing.assert_array_equal(now.probability, was.probability)
         assert now.unknown == was.unknown
-
-
-def test_the_section_of_the_training_set_comes_back(learnt, good, tmp_path) -> None:
-    path = tmp_path / "more.npz"
     section = {"file": np.array("a.npz")}
-    save_model(path, trained(learnt, training_set=section), PADS)
-    assert load_model(path, PADS).training_set == section
-    assert load_model(good).training_set == {}
-
-
-def test_file_is_plain_arrays_and_json(good) -> None:
+    save_model(tmp_path / "more.npz", trained(learnt, training_set=section), PADS)
+    assert load_model(tmp_path / "more.npz", PADS).training_set == section
+    assert loaded.training_set == {}
+    # The file is plain arrays and JSON.
     with np.load(good, allow_pickle=False) as archive:
         header = json.loads(str(archive["model"]))
         assert all(archive[name].dtype.kind in "biufU" for name in archive.files)
-    assert header["format"] == "tactile-cell-model/1"
-    assert len(header["sha256"]) == 64
+    assert (header["format"], len(header["sha256"])) == ("tactile-cell-model/1", 64)
 
 
 @pytest.mark.parametrize(

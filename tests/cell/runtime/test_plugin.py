@@ -667,12 +667,9 @@ def test_places_are_checked_before_anything_is_sorted(taught: Any) -> None:
     places = Places(taught.config, ("ball", "box"))
     assert places.names == ("ball", "box", "reject")
     assert places.of(UNKNOWN).place == "reject"
-
-
-def test_poses_of_places_reach_the_positioner(taught: Any) -> None:
     entry = {"label": "ball", "place": "left", "pose": {"x_mm": 120.0, "rotation_deg": 90.0}}
-    config = changed_config(taught.config, {"sort.places": [entry, BINS[1]]})
-    pose = Places(config, ("ball", "box")).of("ball").pose
+    posed = changed_config(taught.config, {"sort.places": [entry, BINS[1]]})
+    pose = Places(posed, ("ball", "box")).of("ball").pose
     assert (pose.x_m, pose.rotation_rad) == pytest.approx((0.12, 1.5708), abs=1e-4)
 
 

@@ -296,17 +296,12 @@ def test_scores_count_rows_of_truth_and_columns_of_answers() -> None:
     assert (result.n, result.n_right, result.accuracy) == (4, 2, 0.5)
     low, high = result.interval
     assert low < 0.5 < high
-
-
-def test_answers_that_were_not_asked_for_are_unknown_and_strange_truths_do_not_count() -> None:
+    # Answers that were not asked for are unknown, and strange truths do not count.
     result = score("", ["a", "z"], ["c", "a"], ["a", "b"])
     assert (result.counts.tolist(), result.n) == ([[0, 0, 1], [0, 0, 0]], 1)
-
-
-def test_nothing_asked_is_no_accuracy() -> None:
-    result = score("", [], [], ["a"])
-    assert np.isnan(result.accuracy)
-    assert result.interval == (0.0, 1.0)
+    nothing = score("", [], [], ["a"])
+    assert np.isnan(nothing.accuracy)
+    assert nothing.interval == (0.0, 1.0)
 
 
 # -- teaching ----------------------------------------------------------------------------------

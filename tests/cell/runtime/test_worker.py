@@ -87,13 +87,6 @@ def test_every_job_that_is_accepted_beside_a_close_ends() -> None:
         assert all(worker.status(job).outcome is JobOutcome.SUCCEEDED for job in accepted)
 
 
-def test_a_job_cannot_wait_for_its_own_end(worker: CellWorker) -> None:
-    status = worker.wait(worker.start("work", lambda _report: worker.close(5.0)), 10.0)
-    assert isinstance(status.exception, CellStateError)
-    assert "close from another thread" in status.error
-    assert worker.wait(worker.start("work", lambda _report: "goes on"), 10.0).value == "goes on"
-
-
 def test_a_thread_that_is_stuck_between_jobs_does_not_work() -> None:
     looking, go_on = threading.Event(), threading.Event()
     worker = CellWorker(idle=lambda: (looking.set(), go_on.wait(10.0)), idle_period_s=0.001)
