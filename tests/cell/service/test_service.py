@@ -19,7 +19,6 @@ from cell.control.states import Command
 from cell.errors import (
     CellError,
     CellStateError,
-    ConfigError,
     HeldByClient,
     NoPartFound,
     RequestRefused,
@@ -290,27 +289,6 @@ def test_the_end_of_the_service_keeps_the_part_and_ends_all_threads(serve: Any) 
     with pytest.raises(CellStateError, match="the cell is closed"):
         served.service.start(served.service.lease.acquire("late", take=True), IDENTIFY)
     assert set(threading.enumerate()) <= before
-
-
-@pytest.mark.parametrize(
-    ("changes", "complaint"),
-    [
-        ({"serve__hosts": ["http://cell.lan"]}, "not a host name"),
-        ({"serve__hosts": ["cell.lan:80"]}, "not a host name"),
-        ({"serve__hosts": [""]}, "not a host name"),
-        ({"serve__listen": "0.0.0.0"}, "serve.allow is empty"),
-        ({"serve__listen": "localhost"}, "does not appear to be"),
-        ({"serve__allow": ["everyone"]}, "does not appear to be"),
-        ({"serve__tls_key": "key.pem"}, "set both"),
-        ({"serve__objects": ["ball", "ball"]}, "repeat ball"),
-        ({"serve__modbus_port": 65536}, "65535"),
-    ],
-)
-def test_a_config_that_opens_interfaces_to_nobody_in_particular_is_refused(
-    changes: dict[str, Any], complaint: str
-) -> None:
-    with pytest.raises(ConfigError, match=complaint):
-        small_config(**changes)
 
 
 def test_the_watch_notices_a_silent_client_by_itself_and_outlives_what_goes_wrong(
