@@ -50,12 +50,6 @@ from tests.marks import LONG
 CONFIG_FOLDER = Path(__file__).parents[3] / "config"
 
 
-def complaint(text: str) -> str:
-    with pytest.raises(ConfigError) as caught:
-        parse_config(text, source="cell.yaml")
-    return str(caught.value)
-
-
 def test_without_a_file_it_is_the_simulated_cell() -> None:
     assert load_config(None) == parse_config("", source="x") == CellConfig()
     assert CellConfig().simulated
@@ -189,7 +183,9 @@ CAN = PORT + "tactile: {interface: socketcan, channel: can0}\n"
     ],
 )
 def test_complaints_name_line_key_and_limit(text, parts) -> None:
-    message = complaint(text)
+    with pytest.raises(ConfigError) as caught:
+        parse_config(text, source="cell.yaml")
+    message = str(caught.value)
     assert "at least 1 item" not in message
     assert message.replace("\n", "").isprintable()
     for part in parts:
