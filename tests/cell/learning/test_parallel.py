@@ -40,6 +40,13 @@ def alone(parts: tuple[list[Grasp], list[Grasp]]) -> Evaluation:
     return evaluate([parts], make_trainer("level_check"))
 
 
+def test_one_process_works_here() -> None:
+    seen: list[int] = []
+    with workers(1) as mapper:
+        list(mapper(seen.append, [3, 1, 2]))
+    assert seen == [3, 1, 2]
+
+
 def test_a_number_of_processes_below_none_is_refused() -> None:
     with pytest.raises(CellError, match="--jobs is -1"), workers(-1):
         pass
