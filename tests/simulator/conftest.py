@@ -19,7 +19,6 @@ def encode_instruction(servo_id: int, instruction: int, parameters: bytes = b"")
     return encode_packet(servo_id, bytes((instruction,)) + parameters)
 
 
-
 class ServoBench:
     """Servos on a bus in memory; the fingers of one or two move as the clock is slept on."""
 
