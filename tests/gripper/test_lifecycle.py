@@ -240,7 +240,7 @@ def test_the_force_stays_below_its_cap_with_a_wrong_encoder_at_any_moment(make_c
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("at_n", [0.5, 2.0, 4.0])
+@pytest.mark.parametrize("at_n", [0.5, LONG(2.0), 4.0])
 @pytest.mark.parametrize("rate_hz", [None, 200.0])
 def test_currents_that_freeze_in_a_grip_let_no_part_go(
     make_started, monkeypatch, at_n, rate_hz

@@ -114,17 +114,6 @@ def test_a_read_gets_its_own_answer_if_need_be_behind_a_ping(script, bus, case: 
     assert (statistics.late, statistics.retries) == (late, len(exchanges) // 2)
 
 
-def test_a_lost_answer_is_asked_for_again_behind_a_ping(script, bus, clock) -> None:
-    script.expect(READ_132)
-    script.expect(PING_1, (0.0003, PONG_1))
-    script.expect(READ_132, (0.0003, IS_166))
-    with bus.in_loop():
-        assert bus.read(1, PRESENT_POSITION) == 166
-    assert clock.monotonic() < 0.005
-    assert (bus.statistics.timeouts, bus.statistics.retries) == (1, 1)
-    assert bus.misses[1] == 0
-
-
 @pytest.mark.parametrize("damaged", [True, False])
 def test_lost_answers_of_a_sync_read_cost_less_than_a_period(script, bus, clock, damaged) -> None:
     bus.port.return_delay_s = 0.0
@@ -139,6 +128,7 @@ def test_lost_answers_of_a_sync_read_cost_less_than_a_period(script, bus, clock,
     with bus.in_loop():
         read = bus.sync_read([1, 2], RegisterBlock(PRESENT_POSITION))
     assert [read[i]["present_position"] for i in (1, 2)] == [166, 2079]
+    assert not any(bus.misses.values())
     assert clock.monotonic() < 0.004
 
 
@@ -153,7 +143,7 @@ def time_out(script, bus, *answers) -> None:
 def test_a_silent_servo_is_a_timeout_within_a_bounded_time(script, bus, clock) -> None:
     time_out(script, bus)
     assert clock.monotonic() < 0.006
-    assert bus.misses[1] == 2
+    assert bus.misses[1] == bus.statistics.timeouts == 2
     assert isinstance(BusTimeout("x"), TimeoutError)
 
 
@@ -198,9 +188,7 @@ def test_a_line_that_never_falls_quiet_is_named_with_what_was_heard(script, bus,
     time_out(script, bus)
     script.chatter = b"\xa5\x5a"
     before_s = clock.monotonic()
-    with pytest.raises(
-        BusCorrupt, match=r"quiet within 0\.5 s: .* \d{3,} bytes .* are a5 5a a5 5a.*noise"
-    ):
+    with pytest.raises(BusCorrupt, match=r"within 0\.5 s: .* \d{3,} bytes .* a5 5a a5 5a.*noise"):
         bus.read(1, PRESENT_POSITION)
     assert 0.5 <= clock.monotonic() - before_s < 0.6
     script.chatter = b""

@@ -135,7 +135,5 @@ def test_the_true_force_keeps_its_cap_where_the_torque_constant_is_wrong(make_ce
 
 def test_a_cap_below_what_the_current_can_tell_is_refused(make_cell) -> None:
     cell = make_cell(force_max_n=1.1, drive_sds=(0.7, 0.1))
-    with pytest.raises(
-        LimitExceeded, match=r"is exact to 0\.5 N, which leaves 0\.6 N of force_max"
-    ):
+    with pytest.raises(LimitExceeded, match=r"is exact to 0\.5 N, which leaves 0\.6 N"):
         by_current(cell)

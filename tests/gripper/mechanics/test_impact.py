@@ -82,9 +82,7 @@ def test_a_config_is_refused_or_slowed_with_the_reason() -> None:
     assert CellConfig().notes == ()
     slowed = changed_config(CellConfig(), {"gripper.approach_speed_mm_s": 150.0})
     (note,) = slowed.notes
-    assert re.match(
-        r"the fingers approach with as little as 7\d\.\d mm/s, not with gripper.approach_sp", note
-    )
+    assert re.match(r"the fingers approach with as little as 7\d\.\d mm/s, not with gripper", note)
     rack = {"kind": "rack_pinion", "pinion_radius_mm": 8.0}
     short = {"gripper.linkage": rack, "gripper.force_max_n": 30.0}
     friction, *_ = changed_config(CellConfig(), short).notes

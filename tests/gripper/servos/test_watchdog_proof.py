@@ -73,7 +73,5 @@ def test_it_is_off_unless_asked_for_and_refuses_a_long_way(make_cell) -> None:
 
 def test_it_needs_open_fingers(make_started) -> None:
     cell = make_started(watchdog_self_test=True, aperture_min_m=0.01, present=False)
-    with pytest.raises(
-        LimitExceeded, match=r"closes the fingers by .* mm: open them further first"
-    ):
+    with pytest.raises(LimitExceeded, match=r"closes the fingers by .* mm: open them further"):
         cell.gripper.open(0.0105)

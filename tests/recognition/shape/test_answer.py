@@ -439,10 +439,10 @@ def test_larger_variances_move_a_fit_towards_what_is_known_beforehand(scale: flo
 OTHERS = OWN | {"oval": [np.log(1.5)], "dumbbell": [np.log(1.3), 0.0]}
 
 
-def surface(kind: str, u_m: float, v_m: float, h_m: float = 4e-3) -> tuple[float, float]:
+def surface(kind: str, u_m: float, v_m: float) -> tuple[float, float]:
     model = SHAPE_MODELS[kind]
     lag_m, share = model.surface(
-        np.full((1, 1, 1), h_m),
+        np.full((1, 1, 1), 4e-3),
         np.array(OTHERS[kind], dtype=float).reshape(1, -1, 1, 1),
         np.full((1, 1, 1), u_m),
         np.full((1, 1, 1), v_m),

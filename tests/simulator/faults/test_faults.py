@@ -225,9 +225,7 @@ def test_a_fault_is_cleared_by_its_text_or_its_name(cell) -> None:
     cell.inject("unit.off@3s")
     assert cell.injector.clear("can.loss") == 1
     assert cell.injector.clear("unit.off@3s") == 1
-    with pytest.raises(
-        SimulatorStateError, match=r"no fault .* is injected; injected faults: none"
-    ):
+    with pytest.raises(SimulatorStateError, match="is injected; injected faults: none"):
         cell.injector.clear("unit.off")
     cell.inject("can.delayed")
     cell.inject("servos.off")

@@ -84,11 +84,8 @@ def test_one_bad_item_keeps_the_whole_block_from_being_written(bench):
 def test_writing_the_mode_resets_gains_profiles_and_goals(bench):
     bench.put(1, pwm_limit=500, current_limit=300, position_p_gain=1, feedforward_1st_gain=7)
     bench.put(1, profile_velocity=30, goal_current=20, operating_mode=5)
-    assert bench.gets(1, "position_p_gain", "feedforward_1st_gain", "profile_velocity") == [
-        800,
-        0,
-        0,
-    ]
+    gains = bench.gets(1, "position_p_gain", "feedforward_1st_gain", "profile_velocity")
+    assert gains == [800, 0, 0]
     assert bench.gets(1, "pwm_limit", "goal_pwm", "goal_current") == [885, 885, 300]
     bench.put(1, pwm_limit=500, operating_mode=16)
     assert bench.gets(1, "pwm_limit", "goal_pwm") == [500, 500]

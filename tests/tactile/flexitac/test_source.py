@@ -53,9 +53,7 @@ def test_a_square_board_may_sit_either_way() -> None:
 
 def test_a_layout_of_another_size_is_refused(cell) -> None:
     wrong: TaxelLayout = LAYOUTS["flexitac_16x32"]()
-    with pytest.raises(
-        LayoutError, match="needs two inner pads of 32 rows along the finger and 12"
-    ):
+    with pytest.raises(LayoutError, match="two inner pads of 32 rows along the finger and 12"):
         make_source(cell, layout=wrong)
 
 
@@ -125,9 +123,7 @@ def test_a_board_that_is_not_there_or_sends_nothing(cell, source) -> None:
         source.start()
     injected.clear()
     cell.inject("board.off=1")
-    with pytest.raises(
-        FrameTimeout, match="finger 1 sent no frame of 12 x 32 within 3 s: it sends"
-    ):
+    with pytest.raises(FrameTimeout, match="1 sent no frame of 12 x 32 within 3 s: it sends"):
         source.start()
 
 
