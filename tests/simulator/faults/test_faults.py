@@ -126,11 +126,12 @@ def test_every_fault_is_injected_and_leaves_no_trace_once_cleared(request, name)
 
 def _knobs(cell: SimulatedCell) -> Any:
     """Return all that a fault may turn."""
-    devices = cell.devices
-    world = devices.world
-    identity = []
-    identity.append(devices.unit.pretend("Identity object.Serial number", 1))
-    devices.unit.pretend("Identity object.Serial number", identity[-1])
+    devices, faults = cell.devices, cell.devices.faults
+    wires = [repr(one) for one in (faults.servo_wire, faults.can, faults.unit, faults.boards)]
+    if not devices.axes:
+        return wires
+    serial = devices.unit.pretend("Identity object.Serial number", 1)
+    devices.unit.pretend("Identity object.Serial number", serial)
     servos = [
         (
             servo.watchdog_stop,
@@ -142,27 +143,12 @@ def _knobs(cell: SimulatedCell) -> Any:
         )
         for servo in devices.servo_bus.servos
     ]
-    stuck = [motor.stuck_at_rad is None for motor in devices.mechanics.motors]
-    stuck += [round(motor.angle_rad, 6) for motor in devices.mechanics.motors]
-    press = None if world._press is None else world._press.swell_m
-    wire = repr(devices.faults.servo_wire)
-    if not devices.axes:
-        return repr(devices.faults.boards)
+    stuck = [(one.stuck_at_rad, round(one.angle_rad, 6)) for one in devices.mechanics.motors]
+    press = None if devices.world._press is None else devices.world._press.swell_m
     drive, wrist = devices.axes["x"], devices.axes["roll"]
-    stuck.append(repr(devices.faults.boards))
     axes = [drive.dead, drive.forced_switch, drive.blocked, wrist.blocked]
-    return (
-        axes,
-        world.force_gain,
-        set(wrist.bus.faults.silent),
-        repr(devices.faults.can),
-        repr(devices.faults.unit),
-        wire,
-        identity,
-        servos,
-        stuck,
-        press,
-    )
+    axes.append(set(wrist.bus.faults.silent))
+    return wires, serial, servos, stuck, press, axes, devices.world.force_gain
 
 
 def test_the_kinds_are_those_that_fit_the_cell(cell, uskin_cell) -> None:
