@@ -100,6 +100,7 @@ READS: dict[str, tuple[int, int, tuple[tuple[Any, ...], ...]]] = {
         ((READ_132, BAD_166, TWO_IS_2079, ACK, IS_166),),
     ),
     "own echo": (166, 0, ((READ_132, READ_132, (0.0003, IS_166)),)),
+    "no error byte": (166, 0, ((READ_132, packet("FFFFFD00 01 0300 55"), IS_166),)),
 }
 """Answers that do not come as they should: what is read, answers that came late, the exchanges."""
 
@@ -210,6 +211,12 @@ def test_twice_damaged_is_corrupt(script, bus) -> None:
     script.expect(PING_1)
     with bus.in_loop(), pytest.raises(BusCorrupt, match="damaged"):
         bus.read(1, PRESENT_POSITION)
+    assert bus.statistics.corrupt == 1
+
+
+def test_bytes_before_an_answer_count_as_damaged(script, bus) -> None:
+    script.expect(READ_132, "A55A" + IS_166)
+    assert bus.read(1, PRESENT_POSITION) == 166
     assert bus.statistics.corrupt == 1
 
 

@@ -4,7 +4,6 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 
 from simulator.can.messages import BurstFormat, DamagedObject, force_bytes, read_table, read_zero
 from tactile.errors import FrameError, LayoutError
@@ -47,30 +46,16 @@ def test_a_frame_of_too_many_taxels_is_refused() -> None:
         FrameFormat(n_taxels=6 * 16384 - 4, sample_bytes=1)
 
 
-@settings(max_examples=60)
-@given(
-    n_taxels=st.one_of(st.integers(1, 500), st.sampled_from([443, 444, 437])),
-    sample_bytes=st.sampled_from([1, 2]),
-    counter=st.integers(0, 0xFFFF),
-    status=st.integers(0, 0xFF),
-    seed=st.integers(0, 2**32 - 1),
-    shuffle=st.booleans(),
-)
-def test_round_trip(*, n_taxels, sample_bytes, counter, status, seed, shuffle) -> None:
-    rng = np.random.default_rng(seed)
-    frame_format = FrameFormat(n_taxels=n_taxels, sample_bytes=sample_bytes)
+@pytest.mark.parametrize(("n_taxels", "sample_bytes"), [(1, 1), (443, 1), (444, 1), (156, 2)])
+def test_a_frame_comes_back_from_its_messages_in_any_order(n_taxels, sample_bytes) -> None:
+    rng = np.random.default_rng(n_taxels)
     counts = rng.integers(0, 1 << 8 * sample_bytes, n_taxels)
-    messages = BurstFormat(n_taxels, sample_bytes).burst(counts, counter, status)
-    assert all(len(message) == 8 for message in messages)
-    if shuffle:
-        rng.shuffle(messages)
-    assembler = FrameAssembler(frame_format)
-    frames = [assembler.push(message, 1.5) for message in messages]
-    assert frames[:-1] == [None] * (len(messages) - 1)
-    frame = frames[-1]
-    assert (frame.counter, frame.status, frame.t_s) == (counter, status, 1.5)
-    assert frame.counts.dtype == np.uint16
-    assert not frame.counts.flags.writeable
+    messages = BurstFormat(n_taxels, sample_bytes).burst(counts, 0xFFFE, 0x81)
+    rng.shuffle(messages)
+    assembler = FrameAssembler(FrameFormat(n_taxels=n_taxels, sample_bytes=sample_bytes))
+    *early, frame = (assembler.push(message, 1.5) for message in messages)
+    assert early == [None] * (len(messages) - 1)
+    assert (frame.counter, frame.status, frame.t_s) == (0xFFFE, 0x81, 1.5)
     np.testing.assert_array_equal(frame.counts, counts)
 
 
