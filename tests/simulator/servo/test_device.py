@@ -10,7 +10,7 @@ from gripper.dynamixel.models import XC330_M288, XL330_M288, XM430_W350, Operati
 from simulator.errors import PortUnplugged
 from simulator.servo.bus import MemoryServoStream
 from simulator.servo.device import WatchdogStop
-from simulator.servo.protocol2 import Instruction, PacketParser, encode_status
+from simulator.servo.protocol2 import Instruction, encode_status
 from tests.simulator.conftest import ServoBench, encode_instruction
 
 RANGE, LENGTH, LIMIT, ACCESS = 4, 5, 6, 7
@@ -171,10 +171,6 @@ def test_reboot_answers_first_then_is_deaf_and_loses_its_ram(bench):
     assert bench.get(1, "realtime_tick") < 1000
 
 
-def ids(answer: bytes) -> list[int]:
-    return [p.packet_id for p in PacketParser().push(answer) if p.intact]
-
-
 @pytest.mark.parametrize(
     ("instruction", "parameters", "led"),
     [(Instruction.READ, "8400 0400", 0), (Instruction.WRITE, "4100 01", 1)],
@@ -281,21 +277,6 @@ def test_an_adapter_that_loses_its_supply_forgets_half_a_packet(bench):
     bench.device.drop_pending()
     bench.device.receive(PING[6:], 0.0)
     assert bench.device.next_event_s() is None
-
-
-def test_servos_with_the_same_id_answer_at_once(bench):
-    second = bench.device.servos[1]
-    second.registers.put("id", 1)
-    ping = encode_instruction(1, Instruction.PING)
-    assert ids(bench.exchange(ping)) == [1]
-    assert ids(bench.exchange(encode_instruction(0xFE, Instruction.PING))) == [1]
-    second.registers.put("moving_threshold", 77)
-    read = encode_instruction(1, Instruction.READ, bytes.fromhex("1800 0400"))
-    answer = bench.exchange(read)
-    assert answer
-    assert ids(answer) == []
-    bench.device.faults.silent.add(2)
-    assert ids(bench.exchange(read)) == [1]
 
 
 # The stream in memory

@@ -444,16 +444,6 @@ def test_end_stops_hold_the_fingers():
     assert mechanics.finger_position_m == pytest.approx((widest_m, widest_m), abs=1e-9)
 
 
-def test_without_torque_friction_alone_holds_a_light_load():
-    mechanics = fingers()
-    mechanics.step(STEP_S, (3.0, 3.0))
-    assert mechanics.aperture_m == pytest.approx(0.04)
-    for _ in range(100):
-        mechanics.step(STEP_S, (8.0, 8.0))
-    assert mechanics.aperture_m > 0.04
-    assert all(motor.velocity_rad_s != 0.0 for motor in mechanics.motors)
-
-
 def test_a_light_force_moves_a_finger_through_the_backlash_and_no_further():
     backlash_rad = math.radians(0.25)
     mechanics = fingers(gearing=Gearing(backlash_rad=backlash_rad, output_friction=0.1))
