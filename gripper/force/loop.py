@@ -16,12 +16,13 @@ from gripper.errors import (
 )
 from gripper.force.timing import LoopStatistics, LoopTimer
 from gripper.mechanics.impact import most_peak_n
+from gripper.mechanics.kinematics import opening_step_m
 from gripper.servos.bus_loss import BusLossMonitor
 from gripper.servos.goal_limits import ServoGoal
 from gripper.servos.group import Servos, holding_position, lowered
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample, ForceSensor
-from gripper.values.state import GRAIN_M, Cycle, GripperPhase, Observer, ServoFeedback
+from gripper.values.state import Cycle, GripperPhase, Observer, ServoFeedback
 
 _HEALTH_EVERY = 4
 """Periods between two health checks: each takes a transaction of the period. [chosen]"""
@@ -30,9 +31,9 @@ _LONGEST_STEP = 2.0
 _LOWERING_S, _LONGEST_LOWERING = 0.1, 4.0
 """Time in s in which the currents of too much force fall to 0. The force has followed after this
 multiple of it at the latest. [chosen]"""
-_FOLLOWS_SHARE, _UNSEEN_M = 0.95, 2 * GRAIN_M
-"""Share of the force below which samples have followed fingers that opened, and way in m after
-which they must have. [chosen]"""
+_FOLLOWS_SHARE, _UNSEEN_STEPS = 0.95, 2.0
+"""Share of the force below which samples have followed fingers that opened, and way in
+steps of the opening after which they must have. [chosen]"""
 YOUNG_S = 0.015
 """Largest age in s of a sample to which the drive may respond at once: force messages are newer,
 frames are older. Braking at a first touch is then useful. [tuned]"""
@@ -258,6 +259,7 @@ class LoopRunner:
         """
         servos, settings, most_n = self.servos, self._settings, most_peak_n(self._settings)
         share = settings.over_force_share
+        unseen_m = _UNSEEN_STEPS * opening_step_m(settings, servos.linkage)
         goals = [goal.lasting for goal in servos.goals.last]
         # Goals that were written may brake.
         asked = [goal.lasting for goal in servos.goals.asked]
@@ -268,7 +270,7 @@ class LoopRunner:
             if max(forces_n) < _FOLLOWS_SHARE * least_n:
                 least_n, from_m = max(forces_n), state.aperture_m
             least = -1.0 if min(forces_n) > most_n else share
-            follows = state.aperture_m - from_m < _UNSEEN_M
+            follows = state.aperture_m - from_m < unseen_m
             if max(forces_n) <= most_n or left <= least or not follows:
                 break
             if newest.t_s >= opened_s:

@@ -246,6 +246,14 @@ def end_transmissions(settings: GripperSettings, linkage: Linkage) -> list[Trans
     ]
 
 
+def opening_step_m(settings: GripperSettings, linkage: Linkage) -> float:
+    """Return the resolution of the opening in m: the largest count of a servo, closed."""
+    return max(
+        linkage.opening_per_rad_m(closed_rad) * servo.servo_model.rad_per_pulse
+        for closed_rad, servo in zip(linkage.angles_rad(0.0), settings.servos, strict=True)
+    )
+
+
 def mean_friction_n(paths: Sequence[Transmission]) -> float:
     """Return half the width of the friction band in N, the mean of the servos."""
     return sum([path.friction_n for path in paths]) / len(paths)

@@ -65,9 +65,9 @@ class Servos:
         self, bus: ServoBus, linkage: Linkage, settings: GripperSettings, clock: Clock
     ) -> None:
         self._bus = bus
-        self._linkage = linkage
+        self.linkage = linkage
         self.settings = self._settings = settings
-        """Of the gripper."""
+        """Both of the gripper."""
         self._clock = clock
         self.health = ServoHealth(bus, settings)
         """Checks of the servos."""
@@ -329,7 +329,7 @@ class Servos:
 
     def _motion_current_a(self, state: ServoFeedback | None = None) -> float:
         state = state or self.read_patiently()
-        paths = transmissions(self._settings, self._linkage, state.angles_rad)
+        paths = transmissions(self._settings, self.linkage, state.angles_rad)
         return max(motion_currents_a(self._settings, paths, self._settings.approach_force_n))
 
     def _check_mode(self) -> None:

@@ -10,8 +10,6 @@ from gripper.values.force_sensor import ForceSample
 STANDING_M_S = 0.002
 """Rate of the opening in m/s below which the fingers stand: that of one servo at rest whose count
 changes by one (`gripper.servos.motion.slow_rad_s`), on links of 60 mm. [resolution]"""
-GRAIN_M = 1e-4
-"""Resolution of the opening in m: a count of an encoder, on links of 60 mm. [resolution]"""
 _EMPTY_STANDING_M_S = 2.5 * STANDING_M_S
 """The same where the current of empty fingers is judged: each servo, and a reserve of a half."""
 

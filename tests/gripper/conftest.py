@@ -138,7 +138,10 @@ class SampledForce:
         self.noise_n = noise_n
         self.delay_s = delay_s if rate_hz is None else 0.0015
         self.period_s = 0.02 if rate_hz is None else 1.0 / rate_hz
-        self.known = {} if rate_hz is None else {"lag_s": 0.0015, "noise_n": 0.7 * noise_n}
+        # Of slow samples the noise is not known.
+        self.known = {"lag_s": 0.0}
+        if rate_hz is not None:
+            self.known = {"lag_s": 0.0015, "noise_n": 0.7 * noise_n}
         self.dead = False
         self.valid = True
         self.at_least = False
@@ -156,7 +159,7 @@ class SampledForce:
             noisy = tuple(
                 max(0.0, self.gain * f + self._random.gauss(0, self.noise_n)) for f in force_n
             )
-            t_s = now_s + self.known.get("lag_s", 0.0)
+            t_s = now_s + self.known["lag_s"]
             sample = ForceSample(
                 t_s=t_s,
                 force_n=(noisy[0], noisy[1]),

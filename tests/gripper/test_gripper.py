@@ -87,7 +87,8 @@ def test_a_carried_part_is_controlled_by_each_tick(cell, force_n: float) -> None
     assert cell.register(0, "bus_watchdog") == 0
     cell.gripper.request_stop()
     ticks(cell, 3.0, creep_m_s=2e-4)
-    assert cell.force_n == pytest.approx(force_n, abs=0.6)
+    # The creep takes 2 N/s of this part, and a push waits until the samples show its lack.
+    assert cell.force_n == pytest.approx(force_n, abs=0.7)
     cell.gripper.keep_grip()
     ticks(cell, 1.0)
     assert cell.force_n == pytest.approx(force_n, abs=0.8)

@@ -99,7 +99,7 @@ class Approach:
         """Result of the last step."""
         self.state = state
         """Its feedback."""
-        self.stiffness = StiffnessEstimate(settings)
+        self.stiffness = StiffnessEstimate(settings, linkage)
         """Stiffness of the part so far."""
         self.settings = settings
         self._linkage = linkage

@@ -107,7 +107,7 @@ class DriveGoals:
             for path in paths
         ]
         push_n = grip.drive_n - grip.balance_n
-        grip.balance_n = balance_n = min(grip.balance_n, *caps_n)
+        grip.balance_n = balance_n = max(-min(caps_n), min(grip.balance_n, *caps_n))
         for cap_n, path in zip(caps_n, paths, strict=True):
             share = friction_n / path.friction_n
             push_n = min(max(push_n, (-cap_n - balance_n) * share), (cap_n - balance_n) * share)

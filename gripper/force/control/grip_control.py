@@ -1,20 +1,14 @@
 """Control of the grip force of one grasp: one period, from the set-point to the servos' goals."""
 
-from math import hypot
-
 from gripper.force.approach.approach import Approach
-from gripper.force.approach.contact import LOADED_SHARE
 from gripper.force.control.drive_goals import GIVE_RAD, DriveGoals
-from gripper.force.control.law import STIFFNESS_SD, ForceLaw, Period
+from gripper.force.control.law import ForceLaw, Period
 from gripper.force.estimates.grip import KNOWN_N, Grip, History
 from gripper.force.loop import Moment
-from gripper.force.supervision.part_watch import RUN_M, PartWatch
+from gripper.force.supervision.part_watch import PartWatch
 from gripper.mechanics.kinematics import Linkage, mean_friction_n, transmissions
 from gripper.servos.goal_limits import ServoGoal
-from gripper.values.state import GRAIN_M, ServoFeedback
-
-_HARDENS = 1.5
-"""Stiffness at the contact over the mean stiffness up to it, for foam. [assumed]"""
+from gripper.values.state import ServoFeedback
 
 
 class GripControl:
@@ -38,24 +32,11 @@ class GripControl:
         settings, state = reached.settings, moment.state
         self._settings = settings
         self._linkage = linkage
-        touch_m, estimated_n_m = reached.touch_m, reached.stiffness.stiffness_n_m
-        yielded_m = max(touch_m - state.aperture_m, 0.0)
-        # Each end of the way since the touch is off by a grain.
-        way_m = yielded_m + 2.0 * GRAIN_M
-        touch_n = max(force_n, LOADED_SHARE * settings.contact_force_n)
-        stiffness_n_m, stiffness_sd = _HARDENS * touch_n / way_m, 2.0 * GRAIN_M / way_m
-        if estimated_n_m is not None and touch_n > RUN_M * estimated_n_m:
-            # A soft part has yielded by several counts before the contact.
-            stiffness_n_m, stiffness_sd = estimated_n_m, 0.0
-        elif estimated_n_m is not None:
-            # A count is the least way of an estimate: a hard part is not softer.
-            stiffness_n_m = max(stiffness_n_m, estimated_n_m)
+        touch_m = reached.touch_m
         self.grip = grip = Grip(
             settings=settings,
             linkage=linkage,
             stiffness=reached.stiffness,
-            pad_n_m=2.0 * stiffness_n_m,
-            pad_sd=hypot(STIFFNESS_SD, stiffness_sd),
             touch_m=touch_m,
             apertures=History(),
             setpoint_n=force_n,
@@ -66,7 +47,8 @@ class GripControl:
         )
         grip.apertures.add(moment.now_s, state.aperture_m)
         # A high load at the first touch: stiff, or no part at all.
-        contact_n_m = force_n / max(yielded_m, GRAIN_M) if force_n > KNOWN_N else None
+        yielded_m = max(touch_m - state.aperture_m, grip.stiffness.step_m)
+        contact_n_m = force_n / yielded_m if force_n > KNOWN_N else None
         given_m = GIVE_RAD * sum(map(linkage.opening_per_rad_m, state.angles_rad))
         # A hard touch has compressed the part already.
         self.watch = PartWatch(grip, contact_n_m, widest_m=max(touch_m, state.aperture_m) + given_m)

@@ -35,7 +35,7 @@ from gripper.mechanics.kinematics import Transmission, driving_n
 from gripper.servos.goal_limits import MOST_STICTION, pressing_speed_m_s
 from gripper.values.force_sensor import ForceSample
 from gripper.values.recent import FRAME_S, LOOK_BACK_S
-from gripper.values.state import GRAIN_M, ServoFeedback
+from gripper.values.state import ServoFeedback
 
 _ACTS_S = 0.001 + CURRENT_S
 """Time in s from the feedback of a period until its goals act: the write and the current.
@@ -64,10 +64,8 @@ _EFFECT_SDS = 2.0
 """Growth of the force, in its standard deviations, that shows an effect. [statistics]"""
 _BEYOND_N = 0.1
 """Push in N beyond the assumed friction at rest. [chosen]"""
-STIFFNESS_SD = 0.5
-"""Standard deviation of a stiffness as a share of it: foam hardens. [chosen]"""
-_MOTION_M = 1.5 * GRAIN_M
-"""Change of the opening in m that shows a motion: a count and a half. [resolution]"""
+_MOTION_STEPS = 1.5
+"""Change of the opening in steps of its resolution that shows a motion. [resolution]"""
 _LEAST_OPENING_SHARE = 0.3
 """Least friction of opening fingers over that of closing ones. [chosen]"""
 _RELAXED_S = 1.0
@@ -387,7 +385,8 @@ class ForceLaw:
 
         It does once the positions show it, or where pushes alone are too slow for the plan.
         """
-        if abs(period.state.aperture_m - self._started_m) > _MOTION_M:
+        way_m = abs(period.state.aperture_m - self._started_m)
+        if way_m > _MOTION_STEPS * self._grip.stiffness.step_m:
             return True
         growth_n = self._pushes.growth_n
         unseen_s = 2.0 * (period.moment.now_s - sample.measured_s) + _SPEED_S

@@ -1,35 +1,35 @@
-"""Disturbance observer of fingers on a part: force, speed, missing drive, way and stiffness.
+"""Disturbance observer of fingers on a part: force, speed, missing drive and way.
 
 Motor and finger, seen at the pad, are a mass m. Coulomb friction phi brakes it, and a spring k, pad
 and part, pushes back. With the drive u, the torque of the measured currents as a force at the pad:
 
-    F' = k v,    m v' = u - d - F - phi sign(v),    d' = 0,    x' = v,    (ln k)' = 0
+    F' = k v,    m v' = u - d - F - phi sign(v),    d' = 0,    x' = v
 
-d is the force that the drive lacks. An extended Kalman filter with this model is the observer
-(Ohnishi, Shibata and Murakami 1996, reaction force observer). It uses the positions of the servos
+d is the force that the drive lacks. A Kalman filter with this model is the observer (Ohnishi,
+Shibata and Murakami 1996, reaction force observer). It uses the positions of the servos
 and the force samples of the pads, each with its own noise. A sample is compared with the force at
 the time of its measurement, so its delay has no effect. Rare samples are the same with larger steps
 between them. A period may be longer than the swing of a stiff part. So the trapezoidal rule
 integrates the model: it is stable with any step.
 
-The stiffness is a part of the state, by its logarithm. Force and way show it together, although a
-count of the position is often more than a stiff part yields. The law needs it, because a wrong
-stiffness turns each count into a wrong force.
+The stiffness is that of the samples and positions since the touch, within its bounds
+(`StiffnessEstimate`). A count of the position is often more than a stiff part yields, so a wrong
+stiffness turns each count into a wrong force. The filter considers its uncertainty, but does not
+correct it (Schmidt 1966): of noise it would learn a stiffness that is far too high, and then
+trust the force of each count.
 
 Where friction locks the mass, v is 0 and nothing is learnt of d (Karnopp 1985, stick and slip).
 """
 
-from math import exp, hypot, sqrt
+from math import log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gripper.force.estimates.grip import STIFFEST_N_M, Grip, History
+from gripper.force.estimates.grip import Grip, History
 from gripper.force.loop import Moment
 from gripper.mechanics.impact import impact_limit
-from gripper.servos.motion import position_sd_rad
 from gripper.values.force_sensor import ForceSample
-from gripper.values.state import GRAIN_M
 
 _START_SD_N, _MISSING_SD_N = 0.3, 0.2
 """Standard deviations in N of the force and of the missing drive at the start. [chosen]"""
@@ -40,18 +40,14 @@ _RIPPLE_M_S = 0.0004
 _MISSING_N_RS, _MISSING_N_RM = 1.0, 200.0
 """Random walk of the missing drive in N per root of a second, and the same for each m/s: friction
 changes with place and speed. [chosen]"""
-_HARDENS_RM = 15.0
-"""Random walk of ln k per root of a m of way: foam doubles its stiffness in 1 to 2 mm. [assumed]"""
-_LEAST_LOG_SD, _MOST_LOG = 0.2, 1.0
-"""Least standard deviation of ln k, so that it follows another part of the foam; and its largest
-change by one measurement. [chosen]"""
-_MEAN_SHARE = 0.5
-"""Least ratio of the stiffness to its mean since the touch, and of this mean to it: the force on
-foam grows at most with the square of its depth. [assumed]"""
+_LEAST_LOG_SD, _HARDER = 0.3, 7.0
+"""Least standard deviation of ln k, because foam hardens; and the factor by which a part may be
+harder that the fingers meet at speed. [chosen]"""
 _SURE_SDS = 3.0
-"""Deviation, in standard deviations, of a position that shows a motion of locked fingers, and of a
-force that shows a part. [statistics]"""
-_WAY = np.array((0.0, 0.0, 0.0, 1.0, 0.0))
+"""Deviation, in standard deviations, of a position that shows a motion of locked fingers.
+[statistics]"""
+_IDENTITY = np.eye(5)
+_WAY = _IDENTITY[3]
 """Derivative of a measured way by the state."""
 
 
@@ -69,8 +65,7 @@ class GripObserver:
     def __init__(self, grip: Grip, now_s: float) -> None:
         self.mass_kg = impact_limit(grip.settings, grip.linkage).mass_kg
         """Moving mass of a finger at the pad in kg."""
-        self.stiffness_n_m = grip.pad_n_m
-        """Stiffness of part and pad, at one pad, in N/m."""
+        self._estimate = grip.stiffness
         self.force_n = max(0.0, grip.force_n)
         """Grip force in N."""
         self.speed_m_s = 0.0
@@ -79,10 +74,11 @@ class GripObserver:
         self.missing_n = 0.0
         """Missing force of the drive in N."""
         self._way_m, self._start_m = 0.0, grip.apertures.newest
-        self._yielded_m = max(0.0, 0.5 * (grip.touch_m - self._start_m)) + GRAIN_M
-        self._way_m2 = _way_sd_m(grip) ** 2
-        variances = (_START_SD_N**2, 0.0, _MISSING_SD_N**2, self._way_m2, grip.pad_sd**2)
-        self._p = np.diag(variances)
+        # Rounding and a dither of one step: a third of its square is the variance of a position.
+        way_sd_m = 0.5 * grip.stiffness.step_m * sqrt(len(grip.settings.servos) / 3.0)
+        self._way_m2 = way_sd_m**2
+        self._p = np.diag((_START_SD_N, 0.0, _MISSING_SD_N, way_sd_m, 1.0)) ** 2
+        self._take_stiffness()
         self._forces, self._ways_m = History(), History()
         self._forces.add(now_s, self.force_n)
         self._ways_m.add(now_s, 0.0)
@@ -96,8 +92,8 @@ class GripObserver:
     def meets_stiffness(self, change_n: float) -> None:
         """Allow for a stiffer part, whose force has changed by N more than the model explains."""
         self.resume(change_n)
-        self.stiffness_n_m *= exp(_MOST_LOG)
-        self._p[4, 4] += _MOST_LOG**2
+        self._estimate.allow_harder(_HARDER)
+        self._take_stiffness()
 
     def resume(self, change_n: float = _START_SD_N) -> None:
         """Allow for a change of the force in N that the model does not have, as after a pause."""
@@ -143,14 +139,13 @@ class GripObserver:
         self.force_n = max(0.0, self.force_n + stiffness * way_m)
         self._way_m += way_m
         if before_m_s != 0.0 or self.speed_m_s != 0.0:
-            f, (share, gain_m_s_n) = np.eye(5), self._step(dt_s)
+            f, (share, gain_m_s_n) = _IDENTITY.copy(), self._step(dt_s)
             f[1] = -gain_m_s_n, share, -gain_m_s_n, 0.0, 0.0
             way = 0.5 * dt_s * np.array((-gain_m_s_n, 1.0 + share, -gain_m_s_n, 0.0, 0.0))
             f[0] += stiffness * way
             f[0, 4] = stiffness * way_m
             f[3] += way
             self._p = f @ self._p @ f.T
-            self._p[4, 4] += _HARDENS_RM**2 * abs(way_m)
             self._p[1, 1] += _RIPPLE_M_S**2
             self._p[2, 2] += (_MISSING_N_RS**2 + (_MISSING_N_RM * self.speed_m_s) ** 2) * dt_s
         if self.speed_m_s == 0.0:
@@ -165,11 +160,12 @@ class GripObserver:
             # The fingers have moved although friction should lock them.
             moved = np.array((self.stiffness_n_m, 0.0, 0.0, 1.0, 0.0))
             self._p += np.outer(moved, moved) * error_m**2
-        before_m, f = self._way_m, np.eye(5)
+        before_m = self._way_m
         self._correct(_WAY, error_m, self._way_m2)
         # The force has followed the way by the stiffness, with its uncertainty.
-        f[0, 4] = self.stiffness_n_m * (self._way_m - before_m)
-        self._p = f @ self._p @ f.T
+        followed_n = self.stiffness_n_m * (self._way_m - before_m)
+        self._p[0] += followed_n * self._p[4]
+        self._p[:, 0] += followed_n * self._p[:, 4]
         self._forces.add(moment.now_s, self.force_n)
         self._ways_m.add(moment.now_s, self._way_m)
         if sample is not None and sample.t_s > self._sample_s:
@@ -177,57 +173,33 @@ class GripObserver:
             # The force at that time is the present one without the way since then.
             since_n = self.stiffness_n_m * (self._way_m - self._ways_m.at(sample.measured_s))
             of = np.array((1.0, 0.0, 0.0, 0.0, -since_n))
-            touched = sample.grip_n > _SURE_SDS * sample.noise_n
-            self._correct(of, self.unexplained_n(sample), sample.noise_n**2, stiffness=touched)
+            self._correct(of, self.unexplained_n(sample), sample.noise_n**2)
             self._forces.shift(self.force_n - before_n)
+            self._take_stiffness()
 
     def unexplained_n(self, sample: ForceSample) -> float:
         """Return the excess in N of a sample over the force at the time of its measurement."""
         return sample.grip_n - self._forces.at(sample.measured_s)
 
-    def _correct(
-        self, of: NDArray[np.float64], error: float, noise2: float, *, stiffness: bool = True
-    ) -> None:
-        """Correct the state by a measurement, whose derivatives by the state are ``of``.
-
-        Without ``stiffness`` this is a Schmidt-Kalman filter: the stiffness has its uncertainty,
-        and nothing is learnt of it.
-        """
+    def _correct(self, of: NDArray[np.float64], error: float, noise2: float) -> None:
+        """Correct the state by a measurement, whose derivatives by the state are ``of``."""
         p_of = self._p @ of
         gains = p_of / (of @ p_of + noise2)
-        if not stiffness:
-            gains[4] = 0.0
-        force_n, speed_m_s, missing_n, way_m, log_k = (gains * error).tolist()
+        gains[4] = 0.0
+        force_n, speed_m_s, missing_n, way_m, _ = (gains * error).tolist()
         self.force_n = max(0.0, self.force_n + force_n)
         self.speed_m_s += speed_m_s
         self.missing_n += missing_n
         self._way_m += way_m
-        stiffness_n_m = self.stiffness_n_m * exp(min(max(log_k, -_MOST_LOG), _MOST_LOG))
-        least_n_m, most_n_m = self._plausible_n_m()
-        self.stiffness_n_m = max(least_n_m, min(stiffness_n_m, most_n_m))
-        left = np.eye(5) - np.outer(gains, of)
+        left = _IDENTITY - np.outer(gains, of)
         self._p = left @ self._p @ left.T + noise2 * np.outer(gains, gains)
-        self._p[4, 4] = max(self._p[4, 4], _LEAST_LOG_SD**2)
 
-    def _plausible_n_m(self) -> tuple[float, float]:
-        """Return the least and the largest plausible stiffness in N/m, by its mean since the touch.
-
-        The way may be shorter by the count of each end. A hard part then has no upper bound.
-        """
-        yielded_m = max(self._yielded_m + self._way_m, GRAIN_M)
-        sure_m, most_n_m = yielded_m - 2.0 * GRAIN_M, 2.0 * STIFFEST_N_M
-        if sure_m > 0.0:
-            most_n_m = min(most_n_m, (self.force_n + _START_SD_N) / _MEAN_SHARE / sure_m)
-        return max(1.0, _MEAN_SHARE * self.force_n / yielded_m), most_n_m
-
-
-def _way_sd_m(grip: Grip) -> float:
-    """Return the standard deviation in m of the way of a pad by the positions of the servos."""
-    servos, linkage = grip.settings.servos, grip.linkage
-    angles_rad = linkage.angles_rad(grip.apertures.newest)
-    return 0.5 * hypot(
-        *(
-            position_sd_rad(servo.servo_model) * linkage.opening_per_rad_m(angle_rad)
-            for servo, angle_rad in zip(servos, angles_rad, strict=True)
-        )
-    )
+    def _take_stiffness(self) -> None:
+        """Take the middle of the bounds of the stiffness, and their width as its uncertainty."""
+        least_n_m, most_n_m = self._estimate.bounds_n_m
+        self.stiffness_n_m = 2.0 * sqrt(least_n_m * most_n_m)
+        """Stiffness of part and pad, at one pad, in N/m."""
+        log_sd = max(_LEAST_LOG_SD, log(most_n_m / least_n_m) / sqrt(12.0))
+        share = log_sd / sqrt(self._p[4, 4])
+        self._p[4] *= share
+        self._p[:, 4] *= share

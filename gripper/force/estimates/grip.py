@@ -2,13 +2,12 @@
 
 from collections import deque
 from dataclasses import dataclass
-from math import inf
+from math import inf, sqrt
 
 from gripper.force.loop import Moment
-from gripper.mechanics.kinematics import Linkage
+from gripper.mechanics.kinematics import Linkage, opening_step_m
 from gripper.settings import GripperSettings
 from gripper.values.recent import ONE_FRAME_S
-from gripper.values.state import GRAIN_M
 
 _LENGTH = 128
 """Periods kept of a value: 0.64 s at 200 Hz, several times the delay of a sensor. [chosen]"""
@@ -20,8 +19,13 @@ KNOWN_N = 3.0
 """Force in N from which a stiffness is known well; it is measured anew each 0.7 N. [tuned]"""
 _SLOPE_N = 0.7
 """Growth of the force in N for one stiffness: several times the noise. [tuned]"""
-STIFFEST_N_M = 1e5
-"""Largest stiffness in N/m, of part and pads or of one pad: steel between foam is far below it.
+_HARDENS = 3.0
+"""Factor by which foam may be harder at the next travel; it does not become softer. [assumed]"""
+_LEAST_STEPS, _SURE_SDS = 3.0, 2.0
+"""Travel in steps of the opening after which the next stiffness begins, and standard deviations of
+a force that bound it. [chosen]"""
+SOFTEST_N_M, STIFFEST_N_M = 200.0, 5e4
+"""Stiffness in N/m of the softest and of the hardest part between the pads: foam, and steel.
 [chosen]"""
 
 
@@ -63,15 +67,19 @@ class History:
 class StiffnessEstimate:
     """Stiffness of the gripped part: growth of the grip force over travel, from the touch on.
 
-    It distinguishes foam from steel and need not be exact.
+    The travel is known within the resolution of the opening, so the stiffness has a least and a
+    largest value (set-membership identification, Milanese and Vicino 1991). A hard part yields
+    less than that resolution: it has no upper bound.
 
     Parameters
     ----------
-    settings
-        Settings of the gripper.
+    settings, linkage
+        Of the gripper.
     """
 
-    def __init__(self, settings: GripperSettings) -> None:
+    def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:
+        self.step_m = opening_step_m(settings, linkage)
+        """Resolution of the opening in m: the largest count of a servo."""
         self._touch_n = _TOUCH_SHARE * settings.contact_force_n
         self.apertures = History()
         """Opening of the last periods in m."""
@@ -82,6 +90,8 @@ class StiffnessEstimate:
         self._sample_s: float | None = None
         self.stiffness_n_m: float | None = None
         """Growth of the grip force for each m of closing; None before it was measured."""
+        self.bounds_n_m = SOFTEST_N_M, STIFFEST_N_M
+        """Least and largest stiffness by the resolution of the opening."""
 
     def push(self, moment: Moment) -> None:
         """Add the present opening and the newest sample, which may be the same as before."""
@@ -100,16 +110,43 @@ class StiffnessEstimate:
         if pair[0] < self._touch_n:
             self._anchor = pair
             self._pairs.clear()
+            self.bounds_n_m = SOFTEST_N_M, STIFFEST_N_M
             return
         self._pairs.append(pair)
-        if self._anchor is None or len(self._pairs) < _MEAN_SAMPLES:
+        if self._anchor is None:
+            return
+        # The anchor is a mean of several blocks.
+        noise_n = _SURE_SDS * sample.noise_n * sqrt((1.0 + 1.0 / _MEAN_SAMPLES) / n)
+        self._bound(pair[0] - self._anchor[0], self._anchor[1] - pair[1], noise_n)
+        if len(self._pairs) < _MEAN_SAMPLES:
             return
         mean_n = sum(pair[0] for pair in self._pairs) / _MEAN_SAMPLES
         mean_m = sum(pair[1] for pair in self._pairs) / _MEAN_SAMPLES
-        if mean_n - self._anchor[0] >= _SLOPE_N:
-            travel_m = max(self._anchor[1] - mean_m, GRAIN_M)
-            self.stiffness_n_m = min((mean_n - self._anchor[0]) / travel_m, STIFFEST_N_M)
-            self._anchor = (mean_n, mean_m)
+        growth_n, travel_m = mean_n - self._anchor[0], self._anchor[1] - mean_m
+        if growth_n >= _SLOPE_N:
+            self.stiffness_n_m = min(growth_n / max(travel_m, self.step_m), STIFFEST_N_M)
+            if travel_m >= _LEAST_STEPS * self.step_m:
+                self._anchor = mean_n, mean_m
+                self.allow_harder(_HARDENS)
+
+    def _bound(self, growth_n: float, travel_m: float, noise_n: float) -> None:
+        """Reduce the bounds by a growth of the force; where it contradicts them, they follow it."""
+        least_n_m, most_n_m = self.bounds_n_m
+        if growth_n > noise_n:
+            shown_n_m = (growth_n - noise_n) / (max(travel_m, 0.0) + self.step_m)
+            least_n_m = min(max(least_n_m, shown_n_m), STIFFEST_N_M)
+            most_n_m = max(least_n_m, most_n_m)
+        if travel_m > self.step_m and growth_n > -noise_n:
+            # A growth below the noise may be as large as that.
+            shown_n_m = (max(growth_n, noise_n) + noise_n) / (travel_m - self.step_m)
+            most_n_m = max(min(most_n_m, shown_n_m), SOFTEST_N_M)
+            least_n_m = min(least_n_m, most_n_m)
+        self.bounds_n_m = least_n_m, most_n_m
+
+    def allow_harder(self, factor: float) -> None:
+        """Raise the upper bound by a factor."""
+        least_n_m, most_n_m = self.bounds_n_m
+        self.bounds_n_m = least_n_m, min(factor * most_n_m, STIFFEST_N_M)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -121,10 +158,6 @@ class Grip:
     """Of the gripper."""
     stiffness: StiffnessEstimate
     """Stiffness of the part."""
-    pad_n_m: float
-    pad_sd: float
-    """Stiffness of pad and part at one pad at the contact in N/m, and its standard deviation as a
-    share of it."""
     touch_m: float
     """Opening in m at which both pads were first loaded: the fingers are not driven open beyond it,
     however much force the pads report."""

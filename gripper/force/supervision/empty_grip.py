@@ -3,12 +3,12 @@
 from gripper.errors import GripContradicted
 from gripper.force.approach.approach import Approach, ApproachEvent
 from gripper.force.approach.contact import LOADED_SHARE
+from gripper.force.estimates.grip import SOFTEST_N_M
 from gripper.force.loop import Action, Moment
 from gripper.force.supervision.part_watch import (
     ADVICE,
     BREAKAWAY_SHARE,
-    RUN_M,
-    SOFTEST_N_M,
+    RUN_STEPS,
     FrameMean,
 )
 from gripper.mechanics.kinematics import Linkage, transmissions
@@ -16,7 +16,7 @@ from gripper.servos.goal_limits import standing
 from gripper.servos.group import frozen
 from gripper.settings import GripperSettings
 from gripper.values.recent import LEAST_SAMPLES, RecentForce
-from gripper.values.state import GRAIN_M, ServoFeedback
+from gripper.values.state import ServoFeedback
 
 _TRY_S = 0.5
 """Time in s, beyond that of the travel, within which free fingers have closed. [chosen]"""
@@ -24,8 +24,8 @@ _CONFIRMING_FRAMES = 3
 """Frames after the stop of the fingers that confirm that nothing is held: in their mean no earlier
 touched taxel still counts as touched. [tuned]"""
 
-_CLOSED_M = 2 * GRAIN_M
-"""Largest distance in m of closed fingers from their smallest opening: two counts."""
+_CLOSED_STEPS = 2.0
+"""Largest distance of closed fingers from their smallest opening, in steps. [resolution]"""
 _CLOSED_ADVICE = (
     "The fingers are closed (gripper.aperture_min_mm): a part is too small to be held, or the pads "
     "press on each other because gripper.approach_speed_mm_s is high. The grip is kept: look, then "
@@ -69,7 +69,8 @@ class EmptyGrip:
         )
         self._settings = settings
         self._approach = Approach(settings, linkage, state, may_boost=approached)
-        self._run_m = RUN_M
+        self._step_m = self._approach.stiffness.step_m
+        self._run_m = RUN_STEPS * self._step_m
         if not approached:
             pressed_n = settings.approach_force_n + BREAKAWAY_SHARE * friction_n
             self._run_m += pressed_n / (stiffness_n_m or SOFTEST_N_M)
@@ -128,7 +129,8 @@ class EmptyGrip:
             if sample.frame_s is None:
                 frames = ""
             opening_m, least_m = moment.state.aperture_m, self._settings.aperture_min_m
-            advice = ADVICE if opening_m > least_m + _CLOSED_M else _CLOSED_ADVICE
+            closed = opening_m - least_m <= _CLOSED_STEPS * self._step_m
+            advice = _CLOSED_ADVICE if closed else ADVICE
             raise GripContradicted(
                 f"the grasp has ended without a part at an opening of "
                 f"{1e3 * opening_m:.1f} mm, but the force samples show "

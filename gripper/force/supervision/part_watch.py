@@ -12,30 +12,28 @@ from typing import NamedTuple
 
 from gripper.errors import ForceImbalance, GripContradicted, PositionContradicted
 from gripper.force.approach.contact import LOADED_SHARE
-from gripper.force.estimates.grip import KNOWN_N, Grip
+from gripper.force.estimates.grip import KNOWN_N, SOFTEST_N_M, Grip
 from gripper.force.loop import Moment
 from gripper.mechanics.kinematics import driving_n, mean_friction_n, transmissions
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.recent import FRAME_S, LOOK_BACK_S, ONE_FRAME_S, RecentForce
-from gripper.values.state import GRAIN_M, STANDING_M_S, ServoFeedback
+from gripper.values.state import STANDING_M_S, ServoFeedback
 
 _EMPTY_S = 5 * FRAME_S
 """Time in s of five frames: a part may be lost after empty pads of this time. After loaded pads of
 this time a position is contradicted."""
-_RUN_M_S, RUN_M = 0.008, 3 * GRAIN_M
-"""Growth of the closing speed in m/s, and travel in m, above which nothing holds the fingers apart:
-three counts of the servos' velocity, three counts of an encoder. On a part fingers come to rest
-under a constant drive. [resolution]"""
+_RUN_M_S, RUN_STEPS = 0.008, 3.0
+"""Growth of the closing speed in m/s, three counts of the servos' velocity, and travel in steps of
+the opening, above which nothing holds the fingers apart. On a part they come to rest under a
+constant drive. [resolution]"""
 _FIRM_N_M = 1000.0
 """Least stiffness in N/m of a part with which this travel is no oscillation. [tuned]"""
 _FOLLOWS_S = 0.03
 """Time in s for which fingers on a part keep their speed under a constant drive. [tuned]"""
-SOFTEST_N_M = 200.0
-"""Stiffness in N/m of a part with unknown stiffness: foam. [chosen]"""
-_STAND_S, _STAND_M, _STAND_M_S = 0.04, GRAIN_M, 1.5 * STANDING_M_S
-"""Time in s, and limits of travel in m and speed in m/s, of standing fingers: free fingers travel
-several times as far with a drive of `_PRESSING_N`. [tuned]"""
+_STAND_S, _STAND_M_S = 0.04, 1.5 * STANDING_M_S
+"""Time in s and speed limit in m/s of standing fingers, which travel a step of the opening at most:
+free ones travel several times as far with a drive of `_PRESSING_N`. [tuned]"""
 _PRESSING_N, BREAKAWAY_SHARE = 1.0, 0.3
 """Driving force in N beyond friction at rest that certainly moves free fingers, and the largest
 ratio of that friction to friction in motion. [assumed]"""
@@ -317,7 +315,8 @@ class PartWatch:
         assert suspicion is not None
         assert suspicion.acts_s is not None
         stiffness_n_m = stiffness_n_m or SOFTEST_N_M
-        if _run(moment, motion, suspicion.began, stiffness_n_m):
+        step_m = grip.stiffness.step_m
+        if _run(moment, motion, suspicion.began, stiffness_n_m, RUN_STEPS * step_m):
             self.ran = stiffness_n_m >= _FIRM_N_M
             return True
         if suspicion.frames and min(suspicion.frames.finger_means_n) > self.pads.loaded_n:
@@ -332,7 +331,8 @@ class PartWatch:
         waited_s = motion.t_s - suspicion.acts_s
         if (
             waited_s >= _STAND_S
-            and abs(grip.apertures.at(motion.t_s - _STAND_S) - motion.aperture_m) <= _STAND_M
+            and abs(grip.apertures.at(motion.t_s - _STAND_S) - motion.aperture_m)
+            <= grip.stiffness.step_m
             and abs(motion.closing_m_s) <= _STAND_M_S
         ):
             shows = (
@@ -453,8 +453,10 @@ class PartWatch:
             )
 
 
-def _run(moment: Moment, motion: _Motion, began: _Motion, stiffness_n_m: float) -> bool:
-    """Return whether all fingers have closed since then, unlike on any part.
+def _run(
+    moment: Moment, motion: _Motion, began: _Motion, stiffness_n_m: float, run_m: float
+) -> bool:
+    """Return whether all fingers have closed by ``run_m`` m since then, unlike on any part.
 
     A grown drive makes a part yield, and the earlier drive does so for a moment; but on a part the
     fingers then become slower.
@@ -465,6 +467,6 @@ def _run(moment: Moment, motion: _Motion, began: _Motion, stiffness_n_m: float) 
     travel_m = began.aperture_m - motion.aperture_m
     before_m_s = max(0.0, began.closing_m_s)
     before_m = before_m_s * min(motion.t_s - began.t_s, _FOLLOWS_S)
-    far = travel_m >= RUN_M + yields_m + before_m and motion.closing_m_s >= before_m_s
+    far = travel_m >= run_m + yields_m + before_m and motion.closing_m_s >= before_m_s
     faster = motion.closing_m_s - before_m_s >= _RUN_M_S and travel_m >= yields_m
     return far or faster

@@ -26,12 +26,12 @@ def make_grip(force_n: float = 1.0, touch_m: float | None = None) -> Grip:
     settings = GripperSettings()
     apertures = History()
     apertures.add(0.0, STATE.aperture_m)
+    stiffness = StiffnessEstimate(settings, LINKAGE)
+    stiffness.bounds_n_m = 0.25 * STIFFNESS_N_M, STIFFNESS_N_M
     return Grip(
         settings=settings,
         linkage=LINKAGE,
-        stiffness=StiffnessEstimate(settings),
-        pad_n_m=STIFFNESS_N_M,
-        pad_sd=0.5,
+        stiffness=stiffness,
         touch_m=touch_m or STATE.aperture_m + 2.0 * force_n / STIFFNESS_N_M,
         apertures=apertures,
         setpoint_n=force_n,

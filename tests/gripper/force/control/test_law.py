@@ -11,7 +11,7 @@ from gripper.errors import LimitExceeded
 from gripper.force.control.drive_goals import GIVE_RAD, DriveGoals
 from gripper.force.control.law import ForceLaw, ForcePlan
 from gripper.force.control.observer import GripObserver
-from gripper.force.estimates.grip import StiffnessEstimate
+from gripper.force.estimates.grip import STIFFEST_N_M, StiffnessEstimate
 from gripper.mechanics.kinematics import Transmission, transmissions
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
@@ -275,11 +275,12 @@ def test_no_finger_pushes_the_other_aside_with_a_force_that_the_cap_does_not_all
     light = {"coulomb_a": 0.3 * drive.coulomb_a, "breakaway_a": 0.3 * drive.breakaway_a}
     settings.drives.put(servo.servo_id, replace(drive, **light))
     goals = DriveGoals(grip, standing(0.1))
-    grip.balance_n = grip.drive_n = 2.0 * settings.force_max_n
-    first, second = goals.goals(state)
-    assert first.current_a == pytest.approx(second.current_a, rel=0.01)
     path = transmissions(settings, LINKAGE, state.angles_rad)[0]
-    assert 0.0 < path.n_per_a * first.current_a < 2.0 * settings.force_max_n
+    for sign in (1.0, -1.0):
+        grip.balance_n = grip.drive_n = sign * 2.0 * settings.force_max_n
+        first, second = goals.goals(state)
+        assert first.current_a == pytest.approx(second.current_a, rel=0.01)
+        assert 0.0 < path.n_per_a * first.current_a < 2.0 * settings.force_max_n
 
 
 def test_a_position_that_drifts_open_does_not_take_a_closing_goal_with_it() -> None:
@@ -304,21 +305,39 @@ def test_no_finger_is_driven_open_beyond_the_touch() -> None:
 # -- Stiffness of a part by its samples ------------------------------------------------------------
 
 
-def slope_n_m(rate_hz: float, noise_n: float, seed: int = 0) -> float:
-    """Return the stiffness found over 6 mm of a part of 200 N/m, from noisy samples."""
-    estimate = StiffnessEstimate(GripperSettings())
-    generator = random.Random(seed)
+def pressed(n_m: float, rate_hz: float, noise_n: float, seed: int = 0) -> StiffnessEstimate:
+    """Return the estimate of a part that the fingers have pressed with 1.2 N or more, by counts."""
+    settings = GripperSettings()
+    estimate, generator = StiffnessEstimate(settings, LINKAGE), random.Random(seed)
     for i in range(100):
         now_s = 0.005 * i
+        way_m = max(2.4, 1e-4 * n_m) * now_s / n_m
         if i % round(200.0 / rate_hz) == 0:
-            grip_n = 200.0 * 0.012 * now_s + generator.gauss(0.0, noise_n)
-            sample = ForceSample(t_s=now_s, force_n=(grip_n, grip_n), lag_s=0.0)
-        period = make_period(now_s, 0.0, sample, closed_m=0.012 * now_s, speed_m_s=-0.012)
+            force_n = tuple(n_m * way_m + generator.gauss(0.0, noise_n) for _ in range(2))
+            sample = ForceSample(t_s=now_s, force_n=force_n, lag_s=0.0, noise_n=0.7 * noise_n)
+        counted_m = round(way_m / estimate.step_m) * estimate.step_m
+        period = make_period(now_s, 0.0, sample, closed_m=counted_m)
         estimate.push(period.moment)
-    return estimate.stiffness_n_m
+    return estimate
 
 
 def test_the_noise_of_fast_samples_is_no_stiffness() -> None:
-    assert slope_n_m(50.0, 0.0) == pytest.approx(200.0, rel=0.05)
-    fast_n_m = median(slope_n_m(200.0, 0.15, seed) for seed in range(7))
-    assert fast_n_m == pytest.approx(200.0, rel=0.35)
+    assert pressed(200.0, 50.0, 0.0).stiffness_n_m == pytest.approx(200.0, rel=0.05)
+    fast_n_m = [pressed(200.0, 200.0, 0.15, seed).stiffness_n_m for seed in range(7)]
+    assert median(fast_n_m) == pytest.approx(200.0, rel=0.35)
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 200.0])
+@pytest.mark.parametrize("n_m", [1000.0, 4000.0, 15000.0])
+def test_the_true_stiffness_is_within_its_bounds_but_for_the_noise(n_m, rate_hz) -> None:
+    for seed in range(5):
+        least_n_m, most_n_m = pressed(n_m, rate_hz, 0.15, seed).bounds_n_m
+        # Two standard deviations of the noise are exceeded sometimes.
+        assert 0.5 * least_n_m <= n_m <= 2.0 * most_n_m
+        assert n_m < 1e4 or least_n_m > 1e3, "a hard part is not soft"
+
+
+def test_a_part_harder_than_a_count_shows_has_no_upper_bound() -> None:
+    least_n_m, most_n_m = pressed(1e6, 200.0, 0.15).bounds_n_m
+    assert most_n_m == STIFFEST_N_M
+    assert least_n_m > 0.1 * STIFFEST_N_M
