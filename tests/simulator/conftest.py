@@ -1,6 +1,7 @@
 """Benches that several tests of the simulator share."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import pytest
 
@@ -19,6 +20,9 @@ def encode_instruction(servo_id: int, instruction: int, parameters: bytes = b"")
     return encode_packet(servo_id, bytes((instruction,)) + parameters)
 
 
+FINGERS = partial(FingerMechanics, linkage=ParallelogramLinkage(), aperture_m=0.06)
+
+
 class ServoBench:
     """Servos on a bus in memory; the fingers of one or two move as the clock is slept on."""
 
@@ -29,14 +33,14 @@ class ServoBench:
         model: ServoModel = XM430_W350,
         settings: Mapping[str, int] | None = None,
         baudrate: int = 1_000_000,
+        motor: Callable[[ServoModel], ServoMotor] = ServoMotor,
+        fingers: Callable[..., FingerMechanics] = FINGERS,
     ) -> None:
         self.clock = VirtualClock()
-        self.motors = [ServoMotor(model) for _ in ids]
+        self.motors = [motor(model) for _ in ids]
         self.force_n = (0.0, 0.0)
         mounts = [ServoMount(direction=1), ServoMount(direction=-1)][: len(ids)]
-        self.mechanics = FingerMechanics(
-            self.motors, mounts, ParallelogramLinkage(), aperture_m=0.06
-        )
+        self.mechanics = fingers(self.motors, mounts)
         defaults = {"baud_rate": 3, "return_delay_time": 0}
         self.servos = [
             SimulatedServo(i, model, motor, settings={**defaults, **(settings or {})})
