@@ -7,6 +7,7 @@ from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from simulator.servo.device import WatchdogStop
+from tests.marks import LONG
 
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0)
 
@@ -17,7 +18,7 @@ def let_stop(cell, how: WatchdogStop, *indices: int) -> None:
 
 
 @pytest.mark.parametrize("how", [WatchdogStop.HOLD, WatchdogStop.ZERO_CURRENT])
-@pytest.mark.parametrize("watchdog_s", [0.1, 0.2, 0.5, 0.9])
+@pytest.mark.parametrize("watchdog_s", [0.1, LONG(0.2), LONG(0.5), 0.9])
 def test_a_watchdog_that_stops_the_motors_is_proven_once(make_cell, how, watchdog_s) -> None:
     cell = make_cell(watchdog_self_test=True, watchdog_s=watchdog_s)
     let_stop(cell, how, 0, 1)
