@@ -42,6 +42,8 @@ from tests.fuzz.harness import seed_of_run
 from tests.marks import LONG
 from tests.values import command_of, raising
 
+pytestmark = pytest.mark.slow
+
 PIECES = 10
 """Pieces that the tests run, each from a seed of its own."""
 STEPS = 300
@@ -490,14 +492,12 @@ CAN_OFF = "can.off@contact+100ms"
 LONG_WALKS = [LONG(seed, STEPS) for seed in range(1, PIECES + 1)]
 
 
-@pytest.mark.slow
 @pytest.mark.no_cover  # to count lines takes as long again as to run them
 @pytest.mark.parametrize(("seed", "steps"), [*WALKS, *LONG_WALKS])
 def test_whatever_is_asked_and_whatever_fails_all_invariants_hold(seed: int, steps: int) -> None:
     assert run_machine(steps, seed_of_run(seed)) >= steps
 
 
-@pytest.mark.slow
 @given(fault_texts())
 @settings(max_examples=200)
 def test_the_machine_draws_faults_that_there_are(text: str) -> None:
@@ -554,7 +554,6 @@ def test_a_grip_that_a_fault_opens_and_torque_that_comes_by_itself_are_found(
         drive(fault=fault)
 
 
-@pytest.mark.slow
 def test_a_part_that_the_cell_lets_go_by_itself_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     fault = "unit.force_gain=0@contact+80ms"
     drive(fault=fault)
@@ -564,7 +563,6 @@ def test_a_part_that_the_cell_lets_go_by_itself_is_found(monkeypatch: pytest.Mon
         drive(fault=fault)
 
 
-@pytest.mark.slow
 def test_fingers_that_a_cancel_does_not_stop_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def letting_go() -> None:
         def fast() -> bool:
@@ -599,7 +597,6 @@ def test_a_label_from_spoiled_taxels_is_found(cell, monkeypatch) -> None:
         cell.identify(3.0)
 
 
-@pytest.mark.slow
 def test_a_force_above_the_cap_is_found(cell: Driver) -> None:
     cell.grasp(0.0, 3.0, 0.0)
     cell.monitor._force_max_n = 2.0
@@ -607,7 +604,6 @@ def test_a_force_above_the_cap_is_found(cell: Driver) -> None:
         cell.grasp(0.0, 3.0, 0.0)
 
 
-@pytest.mark.slow
 def test_frames_that_nobody_scanned_are_found(cell: Driver) -> None:
     cell._watch_scans = lambda _now_s: None  # type: ignore[method-assign]
     cell._scanned.clear()
@@ -616,7 +612,6 @@ def test_frames_that_nobody_scanned_are_found(cell: Driver) -> None:
         cell.identify(3.0)
 
 
-@pytest.mark.slow
 def test_an_error_without_a_type_and_a_command_without_an_end_are_found(cell: Driver) -> None:
     def hang() -> None:
         while True:
