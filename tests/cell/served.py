@@ -242,6 +242,7 @@ class StubPlugin:
         self._part_numbers = count(1)
         self._hand: Any = SimpleNamespace()
         self._life = CellLifecycle(self._hand, Journal(None), Clock(), 0.6)
+        self.cell = SimpleNamespace(controller=SimpleNamespace(life=self._life))
         self.recording_path: Path | None = None
         self.working = True
         self._show(CellState.IDLE, holding=False)
@@ -389,13 +390,7 @@ class StubPlugin:
         keeps = holding and command is not Command.RELEASE
         return self._accept((command, reboot), needed, path[0], (end, keeps, None))
 
-    def _needed(self, command: Command) -> Command:
-        state = self._life.state
-        if command is Command.RELEASE and state in (CellState.RESETTING, CellState.STOPPED):
-            return Command.RELEASE_HELD
-        if command is Command.RESET and state is CellState.STOPPED:
-            return Command.START
-        return command
+    _needed = TactileCellPlugin._needed
 
     def _check(self, needed: Command | None) -> None:
         if self._closed:

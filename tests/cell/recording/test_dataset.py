@@ -162,7 +162,7 @@ VALUE = npy(b"{'descr': '<u2', 'fortran_order': False, 'shape': (1,), }") + byte
 
 
 @pytest.mark.parametrize(
-    ("members", "says"),
+    ("content", "says"),
     [
         ({"a.txt": b"x"}, r"array a\.txt: .* expected 8 bytes got 1"),
         ({"a.npy": b""}, "array a: EOF"),
@@ -175,20 +175,6 @@ VALUE = npy(b"{'descr': '<u2', 'fortran_order': False, 'shape': (1,), }") + byte
             {f"a{i}.npy": bytes(5_000_000) for i in range(4)},
             "unpacks to 20000000 bytes, the limit is 10000000",
         ),
-    ],
-)
-def test_archives_of_something_else_or_beyond_a_limit_are_refused(members, says, tmp_path) -> None:
-    with zipfile.ZipFile(tmp_path / "x.npz", "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, data in members.items():
-            archive.writestr(name, data)
-    with pytest.raises(DatasetError, match=says):
-        read_dataset(tmp_path / "x.npz", limit_bytes=10_000_000)
-
-
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
-        (None, "check the path"),
         (
             b"label: ball\n",
             "is not a grasp data set: it is not an npz archive; name a grasp data set",
@@ -198,12 +184,16 @@ def test_archives_of_something_else_or_beyond_a_limit_are_refused(members, says,
         (b"\x89MCAP0\r\n" + bytes(100), r"is a recording, not a grasp data set; .* in \.mcap"),
     ],
 )
-def test_what_is_no_archive_is_refused_with_advice(content, says, tmp_path) -> None:
-    if content is not None:
+def test_files_of_something_else_or_beyond_a_limit_are_refused(content, says, tmp_path) -> None:
+    """An archive of these members, or a file of these bytes."""
+    if isinstance(content, bytes):
         (tmp_path / "x.npz").write_bytes(content)
-    for path in (tmp_path / "x.npz", *([] if content else [tmp_path])):
-        with pytest.raises(DatasetError, match=says if path.suffix else "check the path"):
-            read_dataset(path)
+    else:
+        with zipfile.ZipFile(tmp_path / "x.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, data in content.items():
+                archive.writestr(name, data)
+    with pytest.raises(DatasetError, match=says):
+        read_dataset(tmp_path / "x.npz", limit_bytes=10_000_000)
 
 
 def test_what_could_not_be_read_again_is_not_written(tmp_path) -> None:
@@ -249,6 +239,9 @@ def test_a_missing_folder_and_what_is_no_plain_file_are_refused(tmp_path) -> Non
         write_dataset(tmp_path / "nowhere" / "d.npz", [make_grasp()])
     with pytest.raises(DatasetError, match="not a plain file"):
         write_dataset(tmp_path, [make_grasp()])
+    for path in (tmp_path, tmp_path / "x.npz"):
+        with pytest.raises(DatasetError, match="check the path"):
+            read_dataset(path)
     assert issubclass(DatasetError, CellError)
 
 
