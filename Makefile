@@ -23,7 +23,7 @@ run: $(RUN)  ## teach and identify the paper's five objects on the simulated cel
 serve: $(RUN)  ## the simulated cell in real time, with five taught objects; prints the address of its page
 	$(BIN)/tactile-cell serve
 
-quick: $(DEV)  ## the tests that take less than 0.3 s each: for the loop while you write
+quick: $(DEV)  ## the tests that take less than 0.3 s each, without whole cells: for the loop while you write
 	$(TESTS) -m "not real_time and not long and not slow"
 
 test: $(DEV)  ## the tests of each change: minutes, on any machine
