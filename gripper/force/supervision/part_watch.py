@@ -24,9 +24,9 @@ _EMPTY_S = 5 * FRAME_S
 """Time in s of five frames: a part may be lost after empty pads of this time. After loaded pads of
 this time a position is contradicted."""
 _RUN_M_S, RUN_STEPS = 0.008, 3.0
-"""Growth of the closing speed in m/s, three counts of the servos' velocity, and travel in steps of
-the opening, above which nothing holds the fingers apart. On a part they come to rest under a
-constant drive. [resolution]"""
+"""Growth of the closing speed in m/s, and travel in steps of the opening, above which nothing holds
+the fingers apart: three counts of each. On a part they come to rest under a constant drive.
+[resolution]"""
 _FIRM_N_M = 1000.0
 """Least stiffness in N/m of a part with which this travel is no oscillation. [tuned]"""
 _FOLLOWS_S = 0.03
