@@ -25,7 +25,7 @@ from cell.files import json_bytes
 from cell.learning.parallel import workers
 from cell.learning.progress import silent
 from cell.recording.dataset import read_dataset, write_dataset
-from recognition.features.groups import features_of
+from recognition.features import features_of
 from recognition.grasp import Grasp
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import learn_rest

@@ -30,8 +30,7 @@ from benchmarks.recognition._grasps import asked, figures
 from cell.recording.dataset import read_dataset
 from recognition.drift.drift import Drift, drift_text
 from recognition.evaluation.splits import a_day_later, chronological_split
-from recognition.features.footprint import PadGrid, pad_grid, pressed
-from recognition.features.groups import features_of
+from recognition.features import PadGrid, features_of, pad_grid, pressed
 from recognition.grasp import Grasp
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import learn_rest

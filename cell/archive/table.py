@@ -17,8 +17,7 @@ from cell.errors import CellError
 from cell.formats import ARCHIVE
 from cell.recording.reader import Recording, between
 from gripper.values.state import GripperPhase
-from recognition.features.aperture import sizes_mm
-from recognition.features.groups import FEATURE_VERSION, features_of
+from recognition.features import FEATURE_VERSION, features_of, sizes_mm
 from recognition.grasp import (
     COMMAND_COLUMNS,
     ZERO_COLUMNS,

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from recognition.drift.grid import DriftPrior
-from recognition.features.aperture import sizes_mm
+from recognition.features import sizes_mm
 from recognition.grasp import Grasp
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import learn_rest

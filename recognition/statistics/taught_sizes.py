@@ -29,7 +29,7 @@ class TaughtSizes(ArrayRecord):
     """Sizes of the taught grasps."""
 
     mm: NDArray[np.float64]
-    """(n, k) float64: sizes without outliers, of `recognition.features.aperture.sizes_mm`. If the
+    """(n, k) float64: sizes without outliers, of `recognition.features.sizes_mm`. If the
     opening is not used, k is 0 and all distances are 0."""
     classes: NDArray[np.int64]
     """(n,) int64: object of each, ascending."""

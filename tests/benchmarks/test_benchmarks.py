@@ -26,7 +26,7 @@ from benchmarks.recognition import comparators
 from cell.recording.dataset import write_dataset
 from docs.tools.pictures import TUTORIAL, today
 from gripper.dynamixel.models import XL330_M288, XM430_W350
-from recognition.features.footprint import PadGrid
+from recognition.features import PadGrid
 from recognition.quadric.thresholds import find_thresholds
 from simulator.world.shapes import ObjectPose
 from tests import ROOT

@@ -13,9 +13,7 @@ from scipy.special import logsumexp
 
 from recognition.drift.grid import DriftGrid, DriftPrior
 from recognition.drift.self_zero import at_zero, common_zero, foam_odds, prior_since
-from recognition.features.aperture import sizes_mm
-from recognition.features.footprint import PadGrid, pad_grid
-from recognition.features.groups import FEATURE_VERSION
+from recognition.features import FEATURE_VERSION, pad_grids, sizes_mm
 from recognition.grasp import CELL_SOURCE, Grasp, SelfZero, by_label
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import Rest, learn_rest
@@ -150,7 +148,7 @@ class ForceRampRecognizer(TaughtRecord):
         view = self.both if self.both is not None and opening else self.touch
         features = describe(
             levels,
-            _grids(self.rest),
+            pad_grids(self.rest),
             opening=opening,
             log_gains=grid.log_gains,
             offsets_mm=grid.offsets_mm,
@@ -281,7 +279,7 @@ class ForceRampTrainer:
                 f"grasps that touched both pads, by object: {few}; each object needs at least "
                 f"{MIN_GRASPS} to show its variation: teach more, and press harder"
             )
-        levels, grids = levels.take(touched), _grids(rest)
+        levels, grids = levels.take(touched), pad_grids(rest)
         known = np.all(np.isfinite(sizes_mm(levels)), axis=1)
         both = None
         if self.use_aperture and np.all(
@@ -310,8 +308,3 @@ def _drawn_m(members: Sequence[Sequence[Grasp]]) -> NDArray[np.float64]:
 def _on_cell(grasp: Grasp) -> bool:
     """Return whether the source of a grasp names its cell."""
     return grasp.source.startswith(CELL_SOURCE)
-
-
-def _grids(rest: Rest) -> list[PadGrid]:
-    """Return the positions of the taxels of the gripping pads."""
-    return [pad_grid(rest.pads, pad) for pad in rest.gripping]

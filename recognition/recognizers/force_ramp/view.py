@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from recognition.features.aperture import aperture_features, sizes_mm
-from recognition.features.footprint import PadGrid
-from recognition.features.groups import touch_features
+from recognition.features import PadGrid, aperture_features, sizes_mm, touch_features
 from recognition.ramp.levels import Levels, stack_levels
 from recognition.recognizers.force_ramp.view_settings import SETTINGS
 from recognition.records import ArrayRecord

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from recognition.drift.grid import DriftGrid, DriftPrior
-from recognition.features.aperture import aperture_features, sizes_mm
-from recognition.features.footprint import PadGrid
+from recognition.features import PadGrid, aperture_features, sizes_mm
 from recognition.ramp.levels import Levels
 from recognition.recognizers.force_ramp.view import ClassModel, Features, View, describe
 from recognition.recognizers.force_ramp.view_settings import SETTINGS

@@ -23,7 +23,7 @@ from recognition.drift.self_zero import (
 )
 from recognition.drift.spread import learn_spread
 from recognition.evaluation.splits import a_day_later
-from recognition.features.aperture import aperture_features
+from recognition.features import aperture_features
 from recognition.grasp import DRAWING_SOURCE, ZERO_COLUMNS, Grasp, PadArray, SelfZero
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import learn_rest

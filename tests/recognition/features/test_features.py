@@ -5,15 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from recognition.features.aperture import aperture_features
-from recognition.features.footprint import (
+from recognition.features import (
+    FEATURE_GROUPS,
+    aperture_features,
     describe_footprint,
+    features_of,
     harmonic_features,
     pad_grid,
     pressed,
     profile_features,
 )
-from recognition.features.groups import FEATURE_GROUPS, features_of
 from recognition.grasp import Grasp, PadArray
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import learn_rest
@@ -196,7 +197,7 @@ def test_one_pad_has_no_other_to_compare_with():
     rest = learn_rest(grasps)
     levels = load_levels(grasps, rest)
     alone = [describe_footprint(levels.maps[0], levels.noise[..., 0], pad_grid(pads, 0))]
-    widths = {g.name: g.features(levels, alone).shape[1] for g in FEATURE_GROUPS}
+    widths = {name: of(levels, alone).shape[1] for name, of in FEATURE_GROUPS.items()}
     assert [name for name, width in widths.items() if not width] == ["pads"]
     features = features_of(levels, rest, opening=False)
     assert features.shape == (len(grasps), sum(widths.values()))

@@ -5,8 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from recognition.features.aperture import aperture_features
-from recognition.features.footprint import describe_footprint, growth_features, pad_grid
+from recognition.features import aperture_features, describe_footprint, growth_features, pad_grid
 from recognition.ramp.levels import LOAD_FRACTIONS, load_levels
 from recognition.ramp.ramp import Rest, find_ramp, held_part, learn_rest
 from tests.recognition.conftest import OBJECTS, make_grasp, make_grasps, part

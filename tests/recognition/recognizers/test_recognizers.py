@@ -8,7 +8,7 @@ import pytest
 from recognition.drift.drift import Drift
 from recognition.drift.grid import DriftGrid, DriftPrior
 from recognition.evaluation.splits import a_day_later
-from recognition.features.footprint import pad_grid
+from recognition.features import pad_grid
 from recognition.grasp import Grasp
 from recognition.ramp.levels import load_levels
 from recognition.recognizer import UNKNOWN

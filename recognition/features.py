@@ -1,18 +1,24 @@
-"""Footprint of one pad: size, form and moments of the pressed patch, its growth and its features.
+"""Features of a grasp: one table of groups by touch, and the features of the opening.
 
+The footprint of a pad is described by size, form and moments of the pressed patch, and its growth.
 Constants without another source were chosen on the teaching grasps of 36 recorded objects
-(docs/explanations/recognizer.md).
+(docs/explanations/recognizer.md). A new group is one function and one entry in `FEATURE_GROUPS`.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import comb
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recognition.grasp import PadArray
 from recognition.ramp.levels import Levels
+from recognition.ramp.ramp import Rest
+
+FEATURE_VERSION = 13
+"""Version of the features and of their use in a model. Models of another version are refused."""
 
 _NOISE_SIGMAS = 3.0
 """Values up to this number of standard deviations of their noise are set to 0."""
@@ -54,6 +60,10 @@ _MIN_LOAD = 1e-3
 _PEAK_FLOOR_PER_MM = 1.3e-3
 _ENERGY_FLOOR = 2e-4
 """Added to the strongest response in 1/mm and to the energy before their logarithms."""
+_YIELD_SCALE_MM = 1 / 3
+"""Yield in mm up to which its inverse hyperbolic sine is linear; beyond it grows as a logarithm."""
+_SIZE_OFFSET_MM = 3.0
+"""Added to a size before its logarithm, in mm, so that small sizes do not dominate."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -343,6 +353,84 @@ def _harmonics(n_powers: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]
             weight[row, crests - b, b] = comb(crests, b) * 1j**b
     flat = weight.reshape(len(weight), -1)
     return np.ascontiguousarray(flat.real), np.ascontiguousarray(flat.imag[2:])
+
+
+def sizes_mm(levels: Levels) -> NDArray[np.float64]:
+    """Return (n, 2): the opening in mm under the full load, and at the first touch of both pads."""
+    return np.stack([levels.aperture_mm[:, -1], levels.touch_aperture_mm.min(axis=1)], axis=1)
+
+
+def aperture_features(levels: Levels) -> NDArray[np.float64]:
+    """Return (n, F): sizes in mm and their logarithms, and the closing of the fingers by the load.
+
+    NaN if the opening is unknown.
+    """
+    sizes = sizes_mm(levels)
+    final, both = sizes[:, :1], sizes[:, 1:]
+    first = levels.touch_aperture_mm[:, :1] - levels.touch_aperture_mm[:, -1:]
+    squeeze = both - final
+    return np.concatenate(
+        [
+            sizes,
+            np.log(np.maximum(sizes, 0.0) + _SIZE_OFFSET_MM),
+            first,
+            squeeze,
+            np.arcsinh(squeeze / _YIELD_SCALE_MM),
+            np.arcsinh((levels.aperture_mm - final)[:, :-1] / _YIELD_SCALE_MM),
+            np.arcsinh((levels.timed_aperture_mm - final)[:, :-1] / _YIELD_SCALE_MM),
+        ],
+        axis=1,
+    )
+
+
+FEATURE_GROUPS: Mapping[str, Callable[[Levels, Sequence[Footprint]], NDArray[np.float64]]] = (
+    MappingProxyType(
+        {
+            # Size and form of the pressed patch, unchanged when it moves or turns on the pad.
+            "patch": lambda _, pads: patch_features(pads),
+            # Position of the patch on the pad, and its rotation.
+            "pose": lambda _, pads: pose_features(pads),
+            # One pad against the other.
+            "pads": lambda _, pads: pad_difference_features(pads),
+            # Growth of patch and load along the ramp.
+            "growth": growth_features,
+            # Load per row and column of taxels.
+            "profile": lambda _, pads: profile_features(pads),
+            # Details of the patch. With the opening they add nothing.
+            "harmonics": lambda _, pads: harmonic_features(pads),
+        }
+    )
+)
+"""All features by touch by the name of their group, in their order in a vector. Each returns the
+features (n, F) float64 of n grasps, from their levels and the footprint of each gripping pad."""
+_TOUCH_ALONE = frozenset({"harmonics"})
+"""Groups that vectors with the opening leave out."""
+
+
+def pad_grids(rest: Rest) -> list[PadGrid]:
+    """Return the positions of the taxels of the gripping pads."""
+    return [pad_grid(rest.pads, pad) for pad in rest.gripping]
+
+
+def touch_features(
+    levels: Levels, grids: Sequence[PadGrid], *, opening: bool
+) -> NDArray[np.float64]:
+    """Return the features by touch, (n, F) float64.
+
+    ``opening`` is whether the vector also has features of the opening.
+    """
+    footprints = [
+        describe_footprint(maps, levels.noise[..., pad], grid)
+        for pad, (maps, grid) in enumerate(zip(levels.maps, grids, strict=True))
+    ]
+    groups = [name for name in FEATURE_GROUPS if not (opening and name in _TOUCH_ALONE)]
+    return np.concatenate([FEATURE_GROUPS[name](levels, footprints) for name in groups], axis=1)
+
+
+def features_of(levels: Levels, rest: Rest, *, opening: bool) -> NDArray[np.float64]:
+    """Return `touch_features`; with ``opening`` those of the opening follow, NaN if unknown."""
+    touch = touch_features(levels, pad_grids(rest), opening=opening)
+    return np.concatenate([touch, aperture_features(levels)], axis=1) if opening else touch
 
 
 def _side_by_side(parts: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
