@@ -10,7 +10,7 @@ from benchmarks.paper.grasps import press, random_grasp, record
 from benchmarks.paper.reproduction import LABELS, NOISE_SHARES, SEED, TOUCH_N
 from recognition.errors import QuadricError
 from recognition.grasp import Grasp
-from recognition.quadric.eigen import Reading, smallest_eigenvalue
+from recognition.quadric.algorithm import PAPER_SWEEP, SweepSettings, sweep
 from recognition.quadric.level import MeanFrames
 from recognition.quadric.proofs import (
     SOLVERS,
@@ -22,13 +22,14 @@ from recognition.quadric.proofs import (
     substituted,
 )
 from recognition.quadric.quadric import (
+    Reading,
     by_inverse,
     height_field_matrix,
     rotation_xyz,
     scaling,
+    smallest_eigenvalue,
     translation,
 )
-from recognition.quadric.trajectory import PAPER_SWEEP, SweepSettings, sweep
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckTrainer
 from simulator.world.shapes import ObjectPose

@@ -32,10 +32,9 @@ from benchmarks.paper.grasps import (
 from cell.report.confusion import TABLE_1_LABELS as LABELS
 from recognition.evaluation.metrics import confusion_matrix, wilson_interval
 from recognition.grasp import Grasp
-from recognition.quadric.eigen import Reading, eigenvalues
+from recognition.quadric.algorithm import PAPER_SWEEP, LevelBands, find_thresholds, sweep
 from recognition.quadric.level import MeanFrames, level_of
-from recognition.quadric.thresholds import LevelBands, find_thresholds
-from recognition.quadric.trajectory import PAPER_SWEEP, sweep
+from recognition.quadric.quadric import Reading, eigenvalues
 from recognition.recognizers import make_trainer
 from simulator.world.shapes import ObjectPose
 from simulator.world.taxels import resistance_mohm

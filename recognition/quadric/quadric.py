@@ -12,7 +12,15 @@ so that k is the fitted height at the origin, in the unit of the heights. Homoge
 transformations and the congruence of a quadric (paper eq. (2)) are batched: leading dimensions are
 broadcast, the last two have one 4x4 matrix. Angles are in rad; lengths are in the unit of the
 quadric's coordinates.
+
+The paper's feature is the smallest eigenvalue of Q. The paper's numbers allow two readings of
+"smallest"; each has its own name here. The solver is LAPACK's symmetric QR in
+``numpy.linalg.eigvalsh``. Its error is of the order of eps * max|lambda|. On a spectrum from 1e-3
+to 1e2 this is about 2e-11 relative to min|lambda|.
 """
+
+from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,18 +34,14 @@ _MAX_CONDITION = 1e6
 """Largest condition number of the design matrix of a fit, in centred and scaled coordinates."""
 MIN_POINTS = 7
 """Fewest points of a fit: six unknowns and one more."""
-
-
-def _identities(shape: tuple[int, ...]) -> NDArray[np.float64]:
-    out = np.zeros((*shape, 4, 4))
-    out[..., range(4), range(4)] = 1.0
-    return out
+_EPS = float(np.finfo(np.float64).eps)
+"""Relative rounding of float64."""
 
 
 def translation(offset: ArrayLike) -> NDArray[np.float64]:
     """Return translations; ``offset`` has shape (..., 3), the result (..., 4, 4)."""
     offset = np.asarray(offset, dtype=np.float64)
-    out = _identities(offset.shape[:-1])
+    out = np.tile(np.eye(4), (*offset.shape[:-1], 1, 1))
     out[..., :3, 3] = offset
     return out
 
@@ -47,16 +51,15 @@ def scaling(factor: ArrayLike) -> NDArray[np.float64]:
     factor = np.asarray(factor, dtype=np.float64)
     if np.any(factor == 0):
         raise TransformError("a scale factor is 0: the transformation has no inverse")
-    out = _identities(factor.shape)
-    for axis in range(3):
-        out[..., axis, axis] = factor
+    out = factor[..., None, None] * np.eye(4)
+    out[..., 3, 3] = 1.0
     return out
 
 
 def rotation_xyz(angle_rad: ArrayLike) -> NDArray[np.float64]:
     """Return Rz Ry Rx (about x first), right-handed; ``angle_rad`` has shape (..., 3): x, y, z."""
     angle_rad = np.asarray(angle_rad, dtype=np.float64)
-    out = _identities(angle_rad.shape[:-1])
+    out = np.tile(np.eye(4), (*angle_rad.shape[:-1], 1, 1))
     turns = Rotation.from_euler("xyz", angle_rad.reshape(-1, 3))
     out[..., :3, :3] = turns.as_matrix().reshape(*angle_rad.shape[:-1], 3, 3)
     return out
@@ -130,3 +133,54 @@ def fit_height_field(xy_m: NDArray[np.float64], height: NDArray[np.float64]) -> 
         )
     a, b, d, g, h, k = vt.T @ ((u.T @ (height * root)) / singular)
     return height_field_matrix(a=a, b=b, d=d, g=g, h=h, k=k)
+
+
+class Reading(StrEnum):
+    """Readings of "the smallest eigenvalue"."""
+
+    SMALLEST_MAGNITUDE = "smallest_magnitude"
+    """min|lambda|: "of order 1e-3, the largest 1e2", last when sorted by falling magnitude."""
+    ALGEBRAIC_MINIMUM = "algebraic_minimum"
+    """lambda_1, the infimum of the Rayleigh quotient, eq. (3) to (6); <= 0 for a real surface."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SmallestEigenvalue:
+    """Smallest eigenvalues of a batch."""
+
+    value: NDArray[np.float64]
+    """(...) float64: in the unit of the matrix; never below the floor of rounding in the readings
+    that are magnitudes."""
+    degenerate: NDArray[np.bool_]
+    """(...) bool: true if the value is rounding noise, so the matrix may be singular. Its magnitude
+    is then not above n * eps * max|lambda|, n the size of the matrix."""
+
+
+def eigenvalues(Q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return all eigenvalues, ascending, of symmetric matrices (..., 4, 4); shape (..., 4)."""
+    return np.asarray(np.linalg.eigvalsh(Q), dtype=np.float64)
+
+
+def smallest_eigenvalue(
+    Q: NDArray[np.float64], reading: Reading = Reading.SMALLEST_MAGNITUDE
+) -> SmallestEigenvalue:
+    """Return the smallest eigenvalue of each property matrix.
+
+    Parameters
+    ----------
+    Q : (..., 4, 4)
+        Symmetric matrices.
+    reading
+        Kind of the smallest; the paper's numbers fit only the smallest magnitude.
+    """
+    values = eigenvalues(Q)
+    n = values.shape[-1]
+    magnitudes = np.abs(values)
+    floor = n * _EPS * np.maximum(magnitudes[..., 0], magnitudes[..., -1])
+    if reading is Reading.ALGEBRAIC_MINIMUM:
+        value = values[..., 0]
+        return SmallestEigenvalue(value=value, degenerate=np.abs(value) <= floor)
+    magnitude = magnitudes[..., 0]
+    for column in range(1, n):  # faster over long batches than a minimum along a short axis
+        magnitude = np.minimum(magnitude, magnitudes[..., column])
+    return SmallestEigenvalue(value=np.maximum(magnitude, floor), degenerate=magnitude <= floor)

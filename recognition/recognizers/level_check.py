@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.grasp import Grasp, PadArray, by_label, keep_array
+from recognition.quadric.algorithm import LevelBands, check_level, find_thresholds, with_noise
 from recognition.quadric.level import (
     common_force_n,
     level_novelty,
@@ -19,12 +20,10 @@ from recognition.quadric.level import (
     log_statistics,
     usual_noise,
 )
-from recognition.quadric.thresholds import LevelBands, check_level, find_thresholds, with_noise
 from recognition.ramp.ramp import learn_rest
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.records import TaughtRecord
 
-NAME = "level_check"
 _BAND_SIGMAS = 2.0
 """Bands are widened by this number of standard deviations of the noise beyond the taught one."""
 _FLATTEN = 0.01
@@ -80,11 +79,8 @@ class LevelCheckRecognizer(TaughtRecord):
 
     def check(self, grasp: Grasp) -> str:
         """Return the object by the paper's rule under its noise; ``UNKNOWN`` in closed windows."""
-        measured = self.measure(grasp)
-        adjusted = None if measured is None else self._adjusted(measured[1])
-        if measured is None or adjusted is None:
-            return UNKNOWN
-        index = check_level(adjusted, measured[0])
+        measured = self._adjusted(grasp)
+        index = None if measured is None else check_level(measured[2], measured[0])
         return UNKNOWN if index is None else self.labels[index]
 
     def posterior(self, grasp: Grasp) -> Posterior:
@@ -94,11 +90,10 @@ class LevelCheckRecognizer(TaughtRecord):
         without a surface, or with too much noise, gives a uniform posterior and unknown 1. In a
         closed window the probability is shared. Additional noise widens spreads and bands.
         """
-        measured = self.measure(grasp)
-        adjusted = None if measured is None else self._adjusted(measured[1])
-        if measured is None or adjusted is None:
+        measured = self._adjusted(grasp)
+        if measured is None:
             return Posterior.uninformed(self.labels)
-        value, more = measured
+        value, more, adjusted = measured
         spread = np.hypot(self.spread, more)
         z = (np.log(abs(value)) - self.mean) / spread
         log_density = np.where(np.isnan(z), -np.inf, -0.5 * z**2 - np.log(spread))
@@ -112,17 +107,19 @@ class LevelCheckRecognizer(TaughtRecord):
             unknown=level_novelty(adjusted, value),
         )
 
-    def _adjusted(self, more_noise: float) -> LevelBands | None:
-        """Return the bands for a grasp; None if they would cover everything."""
-        share = _BAND_SIGMAS * more_noise
-        return with_noise(self.levels, share) if share < 1.0 else None
+    def _adjusted(self, grasp: Grasp) -> tuple[float, float, LevelBands] | None:
+        """Return `measure` and the bands under that noise; None if they would cover everything."""
+        measured = self.measure(grasp)
+        if measured is None or _BAND_SIGMAS * measured[1] >= 1.0:
+            return None
+        return *measured, with_noise(self.levels, _BAND_SIGMAS * measured[1])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelCheckTrainer:
     """Teaches the levels."""
 
-    name: ClassVar[str] = NAME
+    name: ClassVar[str] = "level_check"
     use_aperture: bool = False
     """Accepted like by every trainer of this package. The paper's method does not use the opening,
     so both values teach the same and `uses_aperture` is always False."""

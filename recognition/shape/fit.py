@@ -128,7 +128,20 @@ def fit_shape(
     if model.turns:
         # A turn has no preferred value: its prior only bounds it around its start.
         problem.mean[problem.pose + 2] = theta[problem.pose + 2]
-    theta, residuals, jacobian = _minimised(problem, theta)
+    # The cache gives residuals and Jacobian of one computation to both functions.
+    around = lru_cache(maxsize=2)(lambda at: problem.around(np.frombuffer(at)))
+    prior = np.diag(1.0 / problem.sd)
+    theta = least_squares(
+        lambda x: np.append(around(x.tobytes())[0], (x - problem.mean) / problem.sd),
+        theta,
+        jac=lambda x: np.concatenate([around(x.tobytes())[1], prior]),
+        x_scale=problem.sd,
+        ftol=_ENOUGH,
+        xtol=None,
+        gtol=None,
+        max_nfev=_STEPS,
+    ).x
+    residuals, jacobian = around(theta.tobytes())
     normal = jacobian.T @ jacobian
     # Residuals are ordered by taxel, then by level; others follow.
     informative = np.ones(len(residuals), dtype=bool)
@@ -145,23 +158,6 @@ def fit_shape(
         misfit=misfit_of(residuals * residuals, informative, float(determined)),
         n_shared=problem.n - problem.rest,
     )
-
-
-def _minimised(problem: ShapeProblem, theta: Array) -> tuple[Array, Array, Array]:
-    """Return the likeliest parameters from a start, and residuals and Jacobian there."""
-    around = lru_cache(maxsize=2)(lambda at: problem.around(np.frombuffer(at)))
-    prior = np.diag(1.0 / problem.sd)
-    best = least_squares(
-        lambda x: np.append(around(x.tobytes())[0], (x - problem.mean) / problem.sd),
-        theta,
-        jac=lambda x: np.concatenate([around(x.tobytes())[1], prior]),
-        x_scale=problem.sd,
-        ftol=_ENOUGH,
-        xtol=None,
-        gtol=None,
-        max_nfev=_STEPS,
-    ).x
-    return best, *around(best.tobytes())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -105,9 +105,8 @@ def reduce_to_pads(grasp: Grasp, foam: FoamModel) -> PressedPads:
         raise ContactError("a pad carries no load at the end of the ramp")
     maps *= (gain.mean() / gain)[:, None, None]
     if _mirrored(maps[:, -1], pads.pad_shape[first]):
-        rows, columns = pads.pad_shape[first]
-        turned = maps[1].reshape(-1, rows, columns)[:, :, ::-1]
-        maps[1] = turned.reshape(len(turned), -1)
+        by_column = maps[1].reshape(-1, *pads.pad_shape[first])
+        maps[1] = by_column[:, :, ::-1].reshape(len(by_column), -1)
     share = maps.mean(axis=0)
     sd = np.sqrt(
         (noise**2).sum(axis=1)[:, None] / 4.0 + _MODEL_FLOOR**2 + (_MODEL_SHARE * share) ** 2

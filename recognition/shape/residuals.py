@@ -88,8 +88,10 @@ class ShapeProblem:
         cells = data.bed.x_m[:, 0]
         self._cell_m = float(abs(cells[1] - cells[0])) if len(cells) > 1 else 1e-3
 
-    def _wanted(self, theta: Array, depths: slice) -> tuple[Fine, Fine]:
-        """Return the depth of the surface in the foam in m, and the covered share."""
+    def _closed(
+        self, theta: Array, depths: slice, start_m: Fine | None = None
+    ) -> tuple[Fine, Fine]:
+        """Return the closing of columns in m (B, K, n_x, n_y), and the covered share."""
         model = self.model
         at = theta[:, :, None, None].astype(_FINE)
         h_m = 1e-3 * np.exp(at[:, 0])
@@ -100,7 +102,19 @@ class ShapeProblem:
             dx_m, dy_m = c * dx_m + s * dy_m, c * dy_m - s * dx_m
         u_m, v_m = np.broadcast_arrays(dx_m, dy_m)
         lag_m, covered = model.surface(h_m, at[:, 1 : model.n_own], u_m, v_m, self._cell_m)
-        return 1e-3 * at[:, depths] - lag_m[:, None], covered[:, None]
+        # The depth of the surface in the foam.
+        closed_m: Fine = 1e-3 * at[:, depths] - lag_m[:, None]
+        covered = covered[:, None]
+        if self.foam.sideways:
+            closed_m = closed_columns_m(
+                closed_m,
+                covered,
+                self.foam.sideways,
+                self._pushes,
+                steps=_STEPS if start_m is None else _FEW_STEPS,
+                start_m=start_m,
+            )
+        return closed_m, covered
 
     def forces_n(self, theta: Array, depths: slice | None = None) -> Array:
         """Return forces (B, K, n_taxels) in N.
@@ -116,22 +130,6 @@ class ShapeProblem:
         pressure = self._relative_pressure(closed_m, covered, theta)
         return self._scaled(self._on_taxels(pressure, theta), theta)
 
-    def _closed(
-        self, theta: Array, depths: slice, start_m: Fine | None = None
-    ) -> tuple[Fine, Fine]:
-        """Return the closing of columns in m (B, K, n_x, n_y), and the covered share."""
-        closed_m, covered = self._wanted(theta, depths)
-        if self.foam.sideways:
-            closed_m = closed_columns_m(
-                closed_m,
-                covered,
-                self.foam.sideways,
-                self._pushes,
-                steps=_STEPS if start_m is None else _FEW_STEPS,
-                start_m=start_m,
-            )
-        return closed_m, covered
-
     def _relative_pressure(self, closed_m: Fine, covered: Fine, theta: Array) -> Fine:
         """Return the pressure over the modulus, (B, K, n_x, n_y)."""
         stiffening = np.exp(theta[:, self.rest + 3])[:, None, None, None].astype(_FINE)
@@ -141,17 +139,8 @@ class ShapeProblem:
 
     def _on_taxels(self, pressure: Fine, theta: Array) -> Fine:
         """Return the pressure on the taxels (B, K, n_taxels) from (B, K, n_x, n_y)."""
-        along, across = self._spread(theta[:, self.rest + 2])
-        forces = along[:, None] @ (pressure @ across.transpose(0, 2, 1)[:, None])
-        return forces.reshape(*forces.shape[:2], -1)
-
-    def _scaled(self, on_taxels: Fine, theta: Array) -> Array:
-        """Return forces in N from pressures on the taxels over the modulus."""
-        scale_n = self.data.bed.cell_area_m2 * self.foam.modulus_pa * np.exp(theta[:, self.rest])
-        return on_taxels * scale_n[:, None, None]
-
-    def _spread(self, log_factor: Array) -> tuple[Fine, Fine]:
-        """Return the transfer of pressure to taxels, interpolated between computed spreads."""
+        # The transfer of pressure to taxels, interpolated between computed spreads.
+        log_factor = theta[:, self.rest + 2]
         place = np.clip(log_factor / SPREAD_STEP + SPREAD_STEPS, 0.0, 2 * SPREAD_STEPS - 1e-9)
         below = place.astype(np.int64)
         share = (place - below)[:, None, None].astype(_FINE)
@@ -159,7 +148,13 @@ class ShapeProblem:
             part[below] + share * (part[below + 1] - part[below])
             for part in (self.data.along, self.data.across)
         )
-        return along, across
+        forces = along[:, None] @ (pressure @ across.transpose(0, 2, 1)[:, None])
+        return forces.reshape(*forces.shape[:2], -1)
+
+    def _scaled(self, on_taxels: Fine, theta: Array) -> Array:
+        """Return forces in N from pressures on the taxels over the modulus."""
+        scale_n = self.data.bed.cell_area_m2 * self.foam.modulus_pa * np.exp(theta[:, self.rest])
+        return on_taxels * scale_n[:, None, None]
 
     def residuals(self, theta: Array, force_n: Array | None = None) -> Array:
         """Return residuals (B, n_data) of the data over their standard deviations.
@@ -242,15 +237,12 @@ class ShapeProblem:
                     if model.turns:
                         theta[self.pose + 2] = angle
                     starts.append(theta)
-        return self._with_depths(np.array(starts))
-
-    def _with_depths(self, theta: Array) -> Array:
-        """Set the depth of each level so that the load is the measured one."""
-        trial = np.repeat(theta, len(_START_DEPTHS_MM), axis=0)
-        trial[:, self.depth : self.rest] = np.tile(_START_DEPTHS_MM, len(theta))[:, None]
+        # The depth of each level is set so that the load is the measured one.
+        trial = np.repeat(starts, len(_START_DEPTHS_MM), axis=0)
+        trial[:, self.depth : self.rest] = np.tile(_START_DEPTHS_MM, len(starts))[:, None]
         one = self.forces_n(trial, slice(self.depth, self.depth + 1))[:, 0]
-        loads = self.foam.response(one).sum(axis=1).reshape(len(theta), -1)
-        measured = self.data.share.sum(axis=1)
-        for row, load in zip(theta, loads, strict=True):
-            row[self.depth : self.rest] = np.interp(measured, load, _START_DEPTHS_MM)
-        return theta
+        loads = self.foam.response(one).sum(axis=1).reshape(len(starts), -1)
+        measured = data.share.sum(axis=1)
+        for theta, load in zip(starts, loads, strict=True):
+            theta[self.depth : self.rest] = np.interp(measured, load, _START_DEPTHS_MM)
+        return np.array(starts)

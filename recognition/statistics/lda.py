@@ -110,13 +110,17 @@ def fit_lda(
     mean = means.mean(axis=0)
     freedom = float(n - n_classes)
     between = count @ (means - count @ means / n) ** 2
-    scale = np.hypot(_units(within, between, freedom, nuisance), least_unit)
+    # The unit of a feature is its deviation within a class; 1 for a constant one.
+    squares = np.einsum("nf,nf->f", within, within)
+    nuisance = np.zeros((1, n_features)) if nuisance is None else nuisance
+    spread = np.sqrt(squares / freedom + (nuisance**2).mean(axis=0))
+    units = np.sqrt(spread**2 + _SPREAD_FLOOR**2 * ((squares + between) / n))
+    scale = np.hypot(np.where(units > 1e-12, units, 1.0), least_unit)
     within /= scale
     covariance = within.T @ within / freedom
     rho = max(min_shrinkage, _oas(covariance, n - n_classes))
-    if nuisance is not None:
-        deviation = nuisance / scale
-        covariance += deviation.T @ deviation / len(deviation)
+    deviation = nuisance / scale
+    covariance += deviation.T @ deviation / len(deviation)
     level = float(np.trace(covariance)) / n_features
     target = np.ones(n_features) if target is None else target
     unit = np.sqrt(rho * level * target + _DIAGONAL_FLOOR)
@@ -147,26 +151,6 @@ def fit_lda(
         centres=centres,
         variation=axes * np.sqrt(variance / (1.0 + variance)),
     )
-
-
-def _units(
-    within: NDArray[np.float64],
-    between: NDArray[np.float64],
-    freedom: float,
-    nuisance: NDArray[np.float64] | None,
-) -> NDArray[np.float64]:
-    """Return the deviation of each feature within a class, (F,): its unit; 1 for a constant one.
-
-    ``within`` (n, F) are the deviations, ``between`` (F,) the sum of squares of those of the means.
-    """
-    squares = np.einsum("nf,nf->f", within, within)
-    variance = squares / freedom
-    if nuisance is not None:
-        variance += (nuisance**2).mean(axis=0)
-    spread = np.sqrt(variance)
-    overall = (squares + between) / len(within)
-    scale = np.sqrt(spread**2 + _SPREAD_FLOOR**2 * overall)
-    return np.where(scale > 1e-12, scale, 1.0)
 
 
 def _oas(covariance: NDArray[np.float64], freedom: int) -> float:

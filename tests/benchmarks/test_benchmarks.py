@@ -27,7 +27,7 @@ from cell.recording.dataset import write_dataset
 from docs.tools.pictures import TUTORIAL, today
 from gripper.dynamixel.models import XL330_M288, XM430_W350
 from recognition.features import PadGrid
-from recognition.quadric.thresholds import find_thresholds
+from recognition.quadric.algorithm import find_thresholds
 from simulator.world.shapes import ObjectPose
 from tests import ROOT
 from tests.recognition.conftest import make_grasps
