@@ -280,8 +280,7 @@ def _centred(share: NDArray[np.float64]) -> NDArray[np.float64]:
     padded = np.pad(share, ((0, 0), (beyond, beyond)))
     rows = np.arange(n)[:, None]
     at_left, at_right = padded[rows, left + beyond], padded[rows, left + beyond + 1]
-    moved: NDArray[np.float64] = at_left * (1.0 - part) + at_right * part
-    return moved
+    return np.asarray(at_left * (1.0 - part) + at_right * part, dtype=np.float64)
 
 
 def harmonic_features(footprints: Sequence[Footprint]) -> NDArray[np.float64]:

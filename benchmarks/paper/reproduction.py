@@ -34,7 +34,7 @@ from recognition.evaluation.metrics import confusion_matrix, wilson_interval
 from recognition.grasp import Grasp
 from recognition.quadric.algorithm import PAPER_SWEEP, LevelBands, find_thresholds, sweep
 from recognition.quadric.level import MeanFrames, level_of
-from recognition.quadric.quadric import Reading, eigenvalues
+from recognition.quadric.quadric import Reading
 from recognition.recognizers import make_trainer
 from simulator.world.shapes import ObjectPose
 from simulator.world.taxels import resistance_mohm
@@ -170,7 +170,8 @@ def of_levels(touches: Sequence[Touch]) -> None:
         [MeanFrames.of(record(touch, quiet, 0.0)).surfaces()[0] for touch in touches]
     )
     force_n, quoted = np.array(FIGURE_2).T
-    kohm, sizes = 1e3 * resistance_mohm(force_n), np.sort(np.abs(eigenvalues(surfaces)), axis=1)
+    kohm = 1e3 * resistance_mohm(force_n)
+    sizes = np.sort(np.abs(np.linalg.eigvalsh(surfaces)), axis=1)
     claim(
         "Fig. 2, eq. (11)",
         "650 / 250 / 100 / 50 kOhm at 2 / 4 / 6 / 8 N",

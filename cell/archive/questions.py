@@ -19,9 +19,9 @@ from scipy.special import stdtrit
 from cell.archive.selection import EVERYTHING, Selection
 from cell.archive.store import Archive
 from cell.errors import ArchiveError
+from recognition.drift.spread import day_effects
 from recognition.evaluation.metrics import wilson_interval
 from recognition.recognizer import UNKNOWN
-from recognition.statistics.day_effects import day_effects
 
 _COLUMNS = (
     "cell", "day", "label", "answer", "of_part", "part_grasps", "zero", "closing_current_a",

@@ -4,6 +4,7 @@ Between days the gain of a pad moves by tens of per cent and the zero of the ope
 """
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,28 +56,23 @@ class Drift:
         has no self-zero, because that was measured before the drift. Raises ValueError if the
         numbers of pads and gains differ.
         """
-        drifted = self._scaled(grasp, self._taxel_gains(grasp), self.aperture_offset_m)
-        return replace(drifted, zero=None)
+        return replace(self._moved(grasp, 1), zero=None)
 
     def undo(self, grasp: Grasp) -> Grasp:
         """Return a grasp recorded under this drift as the taught sensor would have recorded it.
 
         Counts that were clipped at full scale stay clipped. Raises as `apply`.
         """
-        return self._scaled(grasp, 1.0 / self._taxel_gains(grasp), -self.aperture_offset_m)
+        return self._moved(grasp, -1)
 
-    def _taxel_gains(self, grasp: Grasp) -> NDArray[np.float64]:
+    def _moved(self, grasp: Grasp, sign: Literal[1, -1]) -> Grasp:
         n_pads = len(grasp.pads.pad_shape)
         if len(self.gains) not in (1, n_pads):
             raise ValueError(f"{len(self.gains)} gains do not fit the {n_pads} pads of the grasp")
-        return self.gains_of(tuple(grasp.pads.taxel_pad.tolist()))
-
-    @staticmethod
-    def _scaled(grasp: Grasp, factor: NDArray[np.float64], offset_m: float) -> Grasp:
-        counts = np.clip(np.rint(grasp.counts * factor), 0, grasp.pads.adc_max)
-        return replace(
-            grasp, counts=counts.astype(np.uint16), aperture_m=grasp.aperture_m + offset_m
-        )
+        gains = self.gains_of(tuple(grasp.pads.taxel_pad.tolist()))
+        counts = np.clip(np.rint(grasp.counts * gains**sign), 0, grasp.pads.adc_max)
+        aperture_m = grasp.aperture_m + sign * self.aperture_offset_m
+        return replace(grasp, counts=counts.astype(np.uint16), aperture_m=aperture_m)
 
 
 def drift_text(drift: Drift) -> str:

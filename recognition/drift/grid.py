@@ -158,9 +158,7 @@ class DriftGrid(ArrayRecord):
 
     def offset_mm(self, weight: NDArray[np.float64]) -> tuple[float, float]:
         """Return mean and standard deviation of the opening's offset under weights (G, O)."""
-        share = weight.sum(axis=0)
-        mean = float(share @ self.offsets_mm)
-        return mean, float(np.sqrt(share @ (self.offsets_mm - mean) ** 2))
+        return moments(weight.sum(axis=0), self.offsets_mm)
 
     @property
     def unchanged(self) -> float:
@@ -194,6 +192,12 @@ class DriftGrid(ArrayRecord):
     def to_arrays(self, prefix: str = "") -> dict[str, NDArray[Any]]:
         """Return the grid without the unnamed grasps as plain arrays."""
         return ArrayRecord.to_arrays(self.without_unnamed(), prefix)
+
+
+def moments(weight: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the mean and the standard deviation of values with weights."""
+    mean = float(weight @ values)
+    return mean, float(np.sqrt(weight @ (values - mean) ** 2))
 
 
 def _axis(mean: float, reach: float, step: float) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 from scipy.special import logsumexp
 
 from recognition.drift.drift import Drift
-from recognition.drift.grid import DriftPrior
+from recognition.drift.grid import DriftPrior, moments
 from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray, SelfZero
 from recognition.ramp.levels import Levels
 
@@ -424,13 +424,7 @@ def _meeting(
         log_weight += logsumexp(-0.5 / _ALIKE * misfits, axis=0)
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
-    return _moments(weight.sum(axis=1), log_k), _moments(weight.sum(axis=0), zero_mm)
-
-
-def _moments(weight: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the mean and the standard deviation of values with weights."""
-    mean = float(weight @ values)
-    return mean, float(np.sqrt(weight @ (values - mean) ** 2))
+    return moments(weight.sum(axis=1), log_k), moments(weight.sum(axis=0), zero_mm)
 
 
 def _ratio(load: NDArray[np.float64]) -> tuple[float, float]:

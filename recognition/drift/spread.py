@@ -1,15 +1,18 @@
-"""Spread of drifts: how far days and cells lie apart, learnt from grasps of the same objects."""
+"""Spread of drifts: how far days and cells lie apart, learnt from grasps of the same objects.
+
+A day effect is what all values of a day have in common, beside what belongs to the objects.
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from recognition.drift.grid import DriftPrior
 from recognition.features import sizes_mm
 from recognition.grasp import Grasp
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import learn_rest
-from recognition.statistics.day_effects import day_effects
 
 _PRIOR_GROUPS = 3.0
 """Weight of the usual spread between days, in days: few of them show little."""
@@ -55,3 +58,20 @@ def learn_spread(grasps: Sequence[Grasp], groups: Sequence[str]) -> DriftPrior |
         variance = (_PRIOR_GROUPS * sd**2 + between) / (_PRIOR_GROUPS + freedom)
         sds.append(max(least, float(np.sqrt(variance))))
     return DriftPrior(log_gain_sd=min(1.0, sds[0]), offset_sd_mm=min(30.0, sds[1]), unchanged=0.0)
+
+
+def day_effects(mean: NDArray[np.float64], n: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the effect of each of D days, (D,) float64 with the mean 0, by least squares.
+
+    Parameters
+    ----------
+    mean : (D, L)
+        Mean value of each object on each day; any number where there is none.
+    n : (D, L)
+        Number of values; each day has some.
+    """
+    day, label = np.nonzero(n)
+    weight = np.sqrt(n[day, label])
+    design = np.concatenate([np.eye(len(n))[day], np.eye(n.shape[1])[label]], axis=1)
+    effects = np.linalg.lstsq(design * weight[:, None], mean[day, label] * weight)[0][: len(n)]
+    return np.asarray(effects - effects.mean(), dtype=np.float64)

@@ -66,10 +66,8 @@ def auroc(
     order = np.argsort(low)
     below = np.cumsum(of_low[..., order], axis=-1)
     below = np.concatenate([np.zeros((*below.shape[:-1], 1)), below], axis=-1)
-    first, last = (
-        np.searchsorted(low[order], high, side="left"),
-        np.searchsorted(low[order], high, side="right"),
-    )
+    first = np.searchsorted(low[order], high, side="left")
+    last = np.searchsorted(low[order], high, side="right")
     beaten = 0.5 * (below[..., first] + below[..., last])
     with np.errstate(invalid="ignore"):
         area = np.sum(beaten * of_high, axis=-1) / (below[..., -1] * np.sum(of_high, axis=-1))

@@ -30,22 +30,16 @@ NOISE_SHARE = 0.08
 """Widening of bands as a share of the level: the paper's noise of levels, 8 %."""
 
 
-def _grid(start: float, stop: float, count: int) -> NDArray[np.float64]:
-    values: NDArray[np.float64] = np.linspace(start, stop, count)
-    values.setflags(write=False)
-    return values
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SweepSettings:
     """The grid of Algorithm 1 and its readings; the defaults are those of the printed text."""
 
-    scale: NDArray[np.float64] = field(default_factory=lambda: _grid(1.0, 4.0, 31))
+    scale: NDArray[np.float64] = field(default_factory=lambda: np.linspace(1.0, 4.0, 31))
     """(n_scale,) float64: scale factors: 1 to 4 in steps of 0.1."""
-    translation: NDArray[np.float64] = field(default_factory=lambda: _grid(-2.0, 2.0, 41))
+    translation: NDArray[np.float64] = field(default_factory=lambda: np.linspace(-2.0, 2.0, 41))
     """(n_translation,) float64: translation along x and y in the unit of the matrices: -2 to 2 in
     steps of 0.1."""
-    angle_rad: NDArray[np.float64] = field(default_factory=lambda: _grid(0.0, 2 * np.pi, 17))
+    angle_rad: NDArray[np.float64] = field(default_factory=lambda: np.linspace(0.0, 2 * np.pi, 17))
     """(n_angle,) float64: rotation about x, y and z: 0 to 2 pi in steps of pi/8, both ends."""
     reading: Reading = Reading.SMALLEST_MAGNITUDE
     """Kind of the smallest eigenvalue."""
@@ -56,18 +50,13 @@ class SweepSettings:
             if values.ndim != 1 or not len(values) or not np.all(np.isfinite(values)):
                 raise TrajectoryError(f"{name} must be a list of finite numbers, not {values}")
 
-    @property
-    def n_evaluations(self) -> int:
-        """Matrices of one object: 21,607 for the printed grid."""
-        return len(self.scale) * len(self.translation) * len(self.angle_rad)
-
 
 PAPER_SWEEP = SweepSettings()
 """The grid as printed: 21,607 matrices an object."""
 
 
 def sweep(D: NDArray[np.float64], settings: SweepSettings = PAPER_SWEEP) -> NDArray[np.float64]:
-    """Return the smallest eigenvalues over the training loops, (n_objects, n_evaluations).
+    """Return the smallest eigenvalues over the training loops, (n_objects, n).
 
     They are in the order of the printed loops: scale outermost, rotation innermost.
 
@@ -85,14 +74,12 @@ def sweep(D: NDArray[np.float64], settings: SweepSettings = PAPER_SWEEP) -> NDAr
     shift, turn = settings.translation[:, None], settings.angle_rad[:, None]
     back = translation(np.hstack([-shift, -shift, np.zeros_like(shift)]))[:, None]
     turned = np.swapaxes(rotation_xyz(np.repeat(turn, 3, axis=1)), -1, -2)
-    value = np.empty((len(D), settings.n_evaluations))
-    begin = 0
+    values = []
     for factor in settings.scale:
         M_inv = (scaling(1.0 / factor) @ turned @ back).reshape(-1, 4, 4)
-        smallest = smallest_eigenvalue(by_inverse(D[:, None], M_inv), settings.reading)
-        value[:, begin : begin + len(M_inv)] = smallest.value
-        begin += len(M_inv)
-    return value
+        Q = by_inverse(D[:, None], M_inv)
+        values.append(smallest_eigenvalue(Q, settings.reading).value)
+    return np.concatenate(values, axis=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

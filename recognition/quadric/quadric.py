@@ -156,11 +156,6 @@ class SmallestEigenvalue:
     is then not above n * eps * max|lambda|, n the size of the matrix."""
 
 
-def eigenvalues(Q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return all eigenvalues, ascending, of symmetric matrices (..., 4, 4); shape (..., 4)."""
-    return np.asarray(np.linalg.eigvalsh(Q), dtype=np.float64)
-
-
 def smallest_eigenvalue(
     Q: NDArray[np.float64], reading: Reading = Reading.SMALLEST_MAGNITUDE
 ) -> SmallestEigenvalue:
@@ -173,7 +168,7 @@ def smallest_eigenvalue(
     reading
         Kind of the smallest; the paper's numbers fit only the smallest magnitude.
     """
-    values = eigenvalues(Q)
+    values = np.asarray(np.linalg.eigvalsh(Q), dtype=np.float64)
     n = values.shape[-1]
     magnitudes = np.abs(values)
     floor = n * _EPS * np.maximum(magnitudes[..., 0], magnitudes[..., -1])

@@ -165,8 +165,7 @@ def _weights(
     weights = np.zeros(n)
     if fraction >= 1.0:
         weights[-last:] = 1.0
-        mean: NDArray[np.float64] = weights / weights.sum()
-        return mean
+        return np.asarray(weights / weights.sum(), dtype=np.float64)
     right = int(np.argmax(progress >= fraction))
     left = max(right - 1, 0)
     step = progress[right] - progress[left]

@@ -166,10 +166,9 @@ def find_ramp(grasp: Grasp, rest: Rest) -> Ramp:
     """
     rest.pads.check(grasp.pads)
     n = grasp.n_frames
-    forced = np.flatnonzero(grasp.force_n > 0.0).tolist()
+    forced = int(np.argmax(np.append(grasp.force_n > 0.0, True)))
     smoothing = int(np.clip(round(_SMOOTHING_FRACTION * n), 1, _MAX_SMOOTHING_FRAMES))
     rises: list[NDArray[np.float64]] = []
-    loads: list[NDArray[np.float64]] = []
     touch: list[int] = []
     for pad, noise in zip(rest.gripping, rest.noise_counts, strict=True):
         taxels = grasp.pads.taxels_of(pad)
@@ -177,8 +176,7 @@ def find_ramp(grasp: Grasp, rest: Rest) -> Ramp:
         stuck = _stuck_taxels(counts, rest.counts[taxels], float(noise), rest.pads.adc_max)
         own = _rest_now(counts, rest.counts[taxels], float(noise), stuck)
         rise = _with_stuck_replaced(counts - own, stuck, rest.pads.pad_shape[pad])
-        load = rise.sum(axis=1)
-        smooth = ndimage.uniform_filter1d(load, smoothing, mode="nearest")
+        smooth = ndimage.uniform_filter1d(rise.sum(axis=1), smoothing, mode="nearest")
         sigma = noise * np.sqrt(len(taxels) / smoothing)
         limit = max(
             _TOUCH_FRACTION * float(smooth.max()),
@@ -189,15 +187,12 @@ def find_ramp(grasp: Grasp, rest: Rest) -> Ramp:
         begin = int(free[-1]) + 1 if len(free) else 0
         touch.append(begin if float(smooth.max()) >= limit else n)
         rises.append(rise)
-        loads.append(load)
     return Ramp(
         rise=tuple(rises),
         noise_counts=rest.noise_counts,
-        load=np.stack(loads, axis=1),
+        load=np.stack([rise.sum(axis=1) for rise in rises], axis=1),
         touch=np.array(touch, dtype=np.int64),
-        n_quiet=max(
-            QUIET_FRAMES, min(min(touch) - smoothing, int(forced[0]) if len(forced) else n)
-        ),
+        n_quiet=max(QUIET_FRAMES, min(min(touch) - smoothing, forced)),
         smoothing=smoothing,
     )
 

@@ -142,13 +142,11 @@ def _cap(h_m: Array, squared: Array) -> Surface:
     return np.where(inside, lag_m, _OUTSIDE_M), inside.astype(squared.dtype)
 
 
-def _sphere(h_m: Array, own: Array, u_m: Array, v_m: Array, cell_m: float) -> Surface:
-    del own, cell_m
+def _sphere(h_m: Array, _own: Array, u_m: Array, v_m: Array, _cell_m: float) -> Surface:
     return _cap(h_m, (u_m * u_m + v_m * v_m) / (h_m * h_m))
 
 
-def _oval(h_m: Array, own: Array, u_m: Array, v_m: Array, cell_m: float) -> Surface:
-    del cell_m
+def _oval(h_m: Array, own: Array, u_m: Array, v_m: Array, _cell_m: float) -> Surface:
     half_m = h_m * np.exp(own[:, 0])
     return _cap(h_m, (u_m / half_m) ** 2 + (v_m / h_m) ** 2)
 
@@ -158,8 +156,7 @@ def _cylinder(h_m: Array, own: Array, u_m: Array, v_m: Array, cell_m: float) -> 
     return lag_m, inside * _covered(h_m * np.exp(own[:, 0]), u_m, cell_m)
 
 
-def _flat(h_m: Array, own: Array, u_m: Array, v_m: Array, cell_m: float) -> Surface:
-    del h_m
+def _flat(_h_m: Array, own: Array, u_m: Array, v_m: Array, cell_m: float) -> Surface:
     long_m, wide_m = _FLAT_UNIT_M * np.exp(own[:, 0]), _FLAT_UNIT_M * np.exp(own[:, 1])
     share = _covered(long_m, u_m, cell_m) * _covered(wide_m, v_m, cell_m)
     return np.zeros_like(u_m), share

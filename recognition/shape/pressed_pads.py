@@ -104,9 +104,10 @@ def reduce_to_pads(grasp: Grasp, foam: FoamModel) -> PressedPads:
     if not np.all(gain > 0.0):
         raise ContactError("a pad carries no load at the end of the ramp")
     maps *= (gain.mean() / gain)[:, None, None]
-    if _mirrored(maps[:, -1], pads.pad_shape[first]):
-        by_column = maps[1].reshape(-1, *pads.pad_shape[first])
-        maps[1] = by_column[:, :, ::-1].reshape(len(by_column), -1)
+    # Facing pads have one contact, so the order of columns with the more similar readings is true.
+    one, two = maps.reshape(*maps.shape[:2], *pads.pad_shape[first])
+    if float((one[-1] * two[-1, :, ::-1]).sum()) > float((one[-1] * two[-1]).sum()):
+        maps[1] = two[:, :, ::-1].reshape(len(two), -1)
     share = maps.mean(axis=0)
     sd = np.sqrt(
         (noise**2).sum(axis=1)[:, None] / 4.0 + _MODEL_FLOOR**2 + (_MODEL_SHARE * share) ** 2
@@ -170,12 +171,3 @@ def _whitener(share: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray
     variance = alone + (_LEVEL_SHARE * by_taxel) ** 2
     covariance += variance[:, :, None] * np.eye(len(share))
     return np.linalg.inv(np.linalg.cholesky(covariance))
-
-
-def _mirrored(maps: NDArray[np.float64], shape: NDArray[np.int64]) -> bool:
-    """Return whether the second pad counts its columns from the other side.
-
-    Facing pads have one contact, so the order with the more similar readings (2, n_taxels) is true.
-    """
-    one, two = (m.reshape(shape) for m in maps)
-    return float((one * two[:, ::-1]).sum()) > float((one * two).sum())

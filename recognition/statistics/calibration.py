@@ -10,6 +10,8 @@ UNIFORM_SHARE = 0.002
 
 _LOG_TEMPERATURES = (-3.0, 7.0)
 """Range of the logarithm of the temperature that is searched."""
+MOST_TEMPERATURE = float(np.exp(2.0 * _LOG_TEMPERATURES[1]))
+"""Temperature that no teaching gives, like its reciprocal."""
 _N_TEMPERATURES = 41
 """Temperatures tried before the search is refined, because the loss may have several minima."""
 
@@ -55,18 +57,8 @@ def fit_temperature(scores: NDArray[np.float64], classes: NDArray[np.int64]) -> 
     return float(np.exp(refined.x))
 
 
-def check_temperature(temperature: float) -> None:
-    """Raise ValueError for a temperature that no teaching gives."""
-    largest = np.exp(2.0 * _LOG_TEMPERATURES[1])
-    if not 1.0 / largest < temperature < largest:
-        raise ValueError(
-            f"temperature is {temperature:g}, must be from 1/{largest:.0f} to {largest:.0f}"
-        )
-
-
 def to_probability(scores: NDArray[np.float64], temperature: float) -> NDArray[np.float64]:
     """Return (n, C) probabilities: softmax(scores / T) with a small uniform share."""
     p = np.exp(log_softmax(scores / temperature, axis=1))
     p = (1.0 - UNIFORM_SHARE) * p + UNIFORM_SHARE / scores.shape[1]
-    normalised: NDArray[np.float64] = p / p.sum(axis=1, keepdims=True)
-    return normalised
+    return np.asarray(p / p.sum(axis=1, keepdims=True), dtype=np.float64)

@@ -127,12 +127,10 @@ def fit_lda(
     scale *= unit
     variance, axes = eigh((1.0 - rho) * covariance / np.outer(unit, unit))
     variance, axes = variance[variance > _LEAST_VARIANCE], axes[:, variance > _LEAST_VARIANCE]
+    stretch = 1.0 / np.sqrt(1.0 + variance) - 1.0
 
     def whiten(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        white: NDArray[np.float64] = (
-            rows + rows @ axes * (1.0 / np.sqrt(1.0 + variance) - 1.0) @ axes.T
-        )
-        return white
+        return np.asarray(rows + rows @ axes * stretch @ axes.T, dtype=np.float64)
 
     if n_classes == 1:
         # One class has nothing to separate from: distances are those in the whole whitened space.

@@ -121,11 +121,9 @@ class ForceRampRecognizer(TaughtRecord):
             caution *= foam_odds(self.zero, grasp.zero)
             # The offset of the opening since teaching, by both self-zeros.
             moved_m = grasp.zero.opening_m - self.zero.opening_m
-        drawn_m = self.drawn_m[int(probability.argmax())]
-        drawn_m = drawn_m[np.isfinite(drawn_m)]
         mean_mm, sd_mm = grid.offset_mm(share)
-        if sd_mm > _KNOWN_OFFSET_MM:
-            drawn_m = drawn_m[:0]
+        drawn_m = self.drawn_m[int(probability.argmax())]
+        drawn_m = drawn_m[np.isfinite(drawn_m) & (sd_mm <= _KNOWN_OFFSET_MM)]
         return Posterior(
             labels=self.labels,
             probability=probability,

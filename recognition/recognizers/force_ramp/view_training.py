@@ -11,12 +11,10 @@ from scipy.special import logsumexp
 from recognition.drift.grid import DriftGrid, DriftPrior
 from recognition.features import PadGrid, aperture_features, sizes_mm
 from recognition.ramp.levels import Levels
-from recognition.recognizers.force_ramp.view import ClassModel, Features, View, describe
-from recognition.recognizers.force_ramp.view_settings import SETTINGS
+from recognition.recognizers.force_ramp.view import SETTINGS, ClassModel, Features, View, describe
 from recognition.statistics.calibration import blocked_folds, fit_temperature
-from recognition.statistics.class_spread import fit_class_spread
+from recognition.statistics.classes import fit_class_spread, fit_sizes
 from recognition.statistics.lda import fit_lda
-from recognition.statistics.taught_sizes import fit_sizes
 
 _AT_A_TIME = 512
 """Grasps whose features are taken at a time: more need more memory and no less time."""

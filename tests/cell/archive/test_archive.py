@@ -32,8 +32,8 @@ from cell.recording.dataset import read_dataset, write_dataset
 from cell.recording.reader import recording_grasps
 from cell.recording.recorder import Recorder
 from cell.report.page import render_report
+from recognition.drift.spread import day_effects
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand, SelfZero
-from recognition.statistics.day_effects import day_effects
 from tests.cell.archive.fleet import PADS, SIZES_MM, ramp, record, record_fleet
 from tests.cell.conftest import call
 from tests.fuzz.harness import Clock, same_grasps

@@ -224,7 +224,7 @@ def _plain_loops(Q, grid, reading):
 
 
 def test_the_printed_grid_has_21607_points_an_object():
-    assert PAPER_SWEEP.n_evaluations == 21_607
+    assert sweep(PAPER_OBJECTS[:1]).shape == (1, 21_607)
     assert PAPER_SWEEP.scale == pytest.approx(np.arange(31) * 0.1 + 1)
     assert PAPER_SWEEP.translation == pytest.approx(np.arange(41) * 0.1 - 2)
     assert PAPER_SWEEP.angle_rad == pytest.approx(np.arange(17) * np.pi / 8)

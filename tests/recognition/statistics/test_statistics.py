@@ -11,10 +11,9 @@ from recognition.statistics.calibration import (
     fit_temperature,
     to_probability,
 )
-from recognition.statistics.class_spread import fit_class_spread
+from recognition.statistics.classes import TaughtSizes, fit_class_spread, fit_sizes
 from recognition.statistics.fusion import MAX_UNKNOWN, DecisionKind, StopRule, decide, fuse
 from recognition.statistics.lda import LinearDiscriminant, fit_lda, squared_distances
-from recognition.statistics.taught_sizes import TaughtSizes, fit_sizes
 
 
 def gaussians(seed, n=60, shift=3.0, n_features=6):
