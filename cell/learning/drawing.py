@@ -73,11 +73,11 @@ def reaches_m(
     drawing: Drawing,
     pose: Pose,
     beds: Sequence[PadBed],
-    aslant_rad: NDArray[np.float64] | None = None,
+    aslant_rad: Sequence[float] = (0.0, 0.0),
 ) -> list[NDArray[np.float64]]:
     """Return the distance in m that a posed object reaches towards each pad, over the pads' grids.
 
-    A tilt by the small angles ``aslant_rad`` (2,) adds the same distance towards one pad that it
+    A tilt by the two small angles ``aslant_rad`` adds the same distance towards one pad that it
     removes towards the other. It grows with x and y from the centre. Raises ValueError if the
     object lies beside a pad.
     """
@@ -96,11 +96,8 @@ def reaches_m(
             off = abs(pose.x_m) > np.abs(bed.x_m).max() or abs(pose.y_m) > np.abs(bed.y_m).max()
             why = "lies beside the pads" if off else "is too narrow for the pads"
             raise ValueError(f"the object {why} at {pose}")
-        if aslant_rad is None:
-            both.append(heights_m[side])
-        else:
-            lever_m = aslant_rad[0] * (bed.x_m - pose.x_m) + aslant_rad[1] * (bed.y_m - pose.y_m)
-            both.append(heights_m[side] + (lever_m if side == 0 else -lever_m))
+        lever_m = aslant_rad[0] * (bed.x_m - pose.x_m) + aslant_rad[1] * (bed.y_m - pose.y_m)
+        both.append(heights_m[side] + (lever_m if side == 0 else -lever_m))
     return both
 
 
@@ -230,7 +227,7 @@ class VirtualPads:
         course = self.course
         foam = self._drawn_foam(rng)
         beds = self._beds[int(rng.integers(len(self._beds)))]
-        aslant = rng.normal(0.0, course.tilt_rad, 2)
+        aslant = rng.normal(0.0, course.tilt_rad, 2).tolist()
         presses = [
             pressed_pad(bed, reach_m, foam)
             for bed, reach_m in zip(beds, reaches_m(drawing, step.pose, beds, aslant), strict=True)
