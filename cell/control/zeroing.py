@@ -23,6 +23,7 @@ from cell.hand.interface import Hand, OnPeriod
 from gripper.dynamixel.drive import DriveCharacteristic, DriveReport, pad_gain
 from gripper.errors import PartBetweenFingers
 from gripper.force.ramp import ForceRamp
+from gripper.mechanics.kinematics import opening_steps_m
 from gripper.values.outcome import GraspOutcome
 from gripper.values.state import Cycle, TimeSpan
 from recognition.drift.self_zero import ZeroMeasurement, anchored, measure_zero, shows_part
@@ -206,7 +207,7 @@ class Zeroing:
             collector.grasp(),
             collector.pads_n,
             self.hand.layout.gripping_pads,
-            step_m=_opening_step_m(self.config),
+            step_m=sum(opening_steps_m(self.config.gripper_settings, self.config.linkage)),
             alone=collector.during(alone),
         )
 
@@ -217,15 +218,6 @@ class Zeroing:
             drive = report.drives.get(servo.servo_id)
             if drive is not None:
                 self.journal.note("servo drive", drive_text(servo, drive))
-
-
-def _opening_step_m(config: CellConfig) -> float:
-    """Return the step in m in which the servos read the opening of closed fingers."""
-    linkage, servos = config.linkage, config.gripper_settings.servos
-    return sum(
-        linkage.opening_per_rad_m(closed_rad) * servo.servo_model.rad_per_pulse
-        for closed_rad, servo in zip(linkage.angles_rad(0.0), servos, strict=True)
-    )
 
 
 def _catalogue_n_a(config: CellConfig) -> float:

@@ -16,7 +16,7 @@ from gripper.errors import (
 )
 from gripper.force.timing import LoopStatistics, LoopTimer
 from gripper.mechanics.impact import most_peak_n
-from gripper.mechanics.kinematics import opening_step_m
+from gripper.mechanics.kinematics import opening_steps_m
 from gripper.servos.bus_loss import BusLossMonitor
 from gripper.servos.goal_limits import ServoGoal
 from gripper.servos.group import Servos, holding_position, lowered
@@ -259,7 +259,7 @@ class LoopRunner:
         """
         servos, settings, most_n = self.servos, self._settings, most_peak_n(self._settings)
         share = settings.over_force_share
-        unseen_m = _UNSEEN_STEPS * opening_step_m(settings, servos.linkage)
+        unseen_m = _UNSEEN_STEPS * max(opening_steps_m(settings, servos.linkage))
         goals = [goal.lasting for goal in servos.goals.last]
         # Goals that were written may brake.
         asked = [goal.lasting for goal in servos.goals.asked]

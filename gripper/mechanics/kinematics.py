@@ -246,12 +246,12 @@ def end_transmissions(settings: GripperSettings, linkage: Linkage) -> list[Trans
     ]
 
 
-def opening_step_m(settings: GripperSettings, linkage: Linkage) -> float:
-    """Return the resolution of the opening in m: the largest count of a servo, closed."""
-    return max(
+def opening_steps_m(settings: GripperSettings, linkage: Linkage) -> list[float]:
+    """Return for each servo the change of the opening in m by one count, with closed fingers."""
+    return [
         linkage.opening_per_rad_m(closed_rad) * servo.servo_model.rad_per_pulse
         for closed_rad, servo in zip(linkage.angles_rad(0.0), settings.servos, strict=True)
-    )
+    ]
 
 
 def mean_friction_n(paths: Sequence[Transmission]) -> float:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from math import inf, sqrt
 
 from gripper.force.loop import Moment
-from gripper.mechanics.kinematics import Linkage, opening_step_m
+from gripper.mechanics.kinematics import Linkage, opening_steps_m
 from gripper.settings import GripperSettings
 from gripper.values.recent import ONE_FRAME_S
 
@@ -78,7 +78,7 @@ class StiffnessEstimate:
     """
 
     def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:
-        self.step_m = opening_step_m(settings, linkage)
+        self.step_m = max(opening_steps_m(settings, linkage))
         """Resolution of the opening in m: the largest count of a servo."""
         self._touch_n = _TOUCH_SHARE * settings.contact_force_n
         self.apertures = History()
