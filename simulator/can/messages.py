@@ -129,7 +129,14 @@ def _crc8(data: bytes) -> int:
     """Return the CRC-8 of SAE J1850: polynomial 1Dh, start and final inversion FFh."""
     remainder = 0xFF
     for byte in data:
-        remainder ^= byte
-        for _ in range(8):
-            remainder = remainder << 1 ^ (0x11D if remainder & 0x80 else 0)
+        remainder = _CRC8_OF[remainder ^ byte]
     return remainder ^ 0xFF
+
+
+def _divided(byte: int) -> int:
+    for _ in range(8):
+        byte = byte << 1 ^ (0x11D if byte & 0x80 else 0)
+    return byte
+
+
+_CRC8_OF = bytes(map(_divided, range(256)))
