@@ -30,6 +30,10 @@ SORTING: dict[str, Any] = {
 }  # fmt: skip
 
 
+SHORT_LEASE_S = 2.0
+"""Time-out of a lease: the page renews it four times as often."""
+
+
 def address(served: Served) -> str:
     """Return the address of the page as `serve` prints it."""
     interfaces = served.interfaces
@@ -172,7 +176,7 @@ def browser() -> Iterator[Any]:
 @pytest.fixture
 def cell(serve: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeCell]:
     """A server whose state the test writes."""
-    made = FakeCell(serve("http"), monkeypatch)
+    made = FakeCell(serve("http", serve__lease_timeout_s=SHORT_LEASE_S), monkeypatch)
     yield made
     made.sends.set()
 

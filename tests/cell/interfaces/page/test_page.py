@@ -9,7 +9,7 @@ import pytest
 from cell.control.live import LiveValues
 from cell.control.states import Command
 from gripper.errors import PartSlipped
-from tests.cell.interfaces.page.conftest import TEACHING, FakeCell, address
+from tests.cell.interfaces.page.conftest import SHORT_LEASE_S, TEACHING, FakeCell, address
 from tests.marks import LONG
 from tests.waiting import until
 
@@ -449,8 +449,6 @@ class Line:
 def line() -> Line:
     return Line()
 
-
-SHORT_LEASE_S = 2.0
 
 
 @pytest.mark.long
