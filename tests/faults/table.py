@@ -442,7 +442,7 @@ GRIP = (
           ("part slips", "object.slips=20@contact+1.0s", "HOLD", 0.2,
            partial(grasp_with_fault, look_again=False)))),
     *(FaultRow(kind, f"{variant} in a carry", f"{injected}@contact+1.2s", reaction, limit_s,
-               carry_with_fault, number=number, long=True)
+               carry_with_fault, number=number, long=kind != 28)
       for kind, variant, injected, reaction, limit_s, number in (
           (1, "one set lost", "can.lose_next=6", "NOTE", None, 0),
           (8, "unplugged", "can.unplugged", "HOLD", 0.1, 311),

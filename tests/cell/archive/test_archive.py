@@ -3,11 +3,9 @@
 import itertools
 import json
 import re
+import runpy
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -37,7 +35,6 @@ from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand
 from tests.cell.archive.fleet import PADS, SIZES_MM, ramp, record, record_fleet
 from tests.cell.conftest import call
 from tests.fuzz.harness import Clock, same_grasps
-from tests.waiting import until
 
 add = partial(ingest, progress=silent)
 EXAMPLE = Path(__file__).parents[3] / "docs/examples/train_on_a_cluster.py"
@@ -317,35 +314,21 @@ def test_duckdb_reads_the_table(archived) -> None:
     assert all(row[2] > 0 for row in rows)
 
 
-@pytest.mark.timeout(120)
-def test_the_example_trains_and_evaluates_with_a_scheduler_and_two_workers(
-    fleet, archived, tmp_path
+@pytest.mark.slow
+def test_the_example_trains_and_evaluates_on_a_cluster_of_two_workers(
+    fleet, archived, tmp_path, capsys
 ) -> None:
-    place, model, target = tmp_path / "scheduler", tmp_path / "m.npz", tmp_path / "archive"
-    dask = [sys.executable, "-m", "dask"]
-    with ExitStack() as running:
-        for command in (
-            ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"],
-            *[["worker", "--nthreads", "1", "--no-dashboard", "--no-nanny"]] * 2,
-        ):
-            started = subprocess.Popen(
-                [*dask, *command, "--scheduler-file", str(place)],
-                cwd=tmp_path,
-                stderr=subprocess.DEVNULL,
-            )
-            running.callback(started.wait)
-            running.callback(started.terminate)
-        until(place.exists)
-        example = [sys.executable, str(EXAMPLE), json.loads(place.read_text())["address"]]
-        out = subprocess.run(
-            [*example, str(fleet), str(target), str(model)],
-            check=True,
-            capture_output=True,
-            text=True,
-        ).stdout
+    from distributed import LocalCluster
+
+    model, target = tmp_path / "m.npz", str(tmp_path / "archive")
+    workers = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    with LocalCluster(processes=False, protocol="tcp", **workers) as cluster:
+        example = runpy.run_path(str(EXAMPLE))
+        example["main"](cluster.scheduler_address, fleet, target, model)
+    out = capsys.readouterr().out
     assert "36 grasps of 6 files, 0 files left" in out
     assert re.search(r"force_ramp: [0-9.]+% of the grasps of new days named rightly", out)
-    assert every(str(target)) == every(archived)
+    assert every(target) == every(archived)
     assert load_model(model).labels == tuple(SIZES_MM)
 
 

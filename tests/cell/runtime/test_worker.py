@@ -1,12 +1,10 @@
-""""""
+"""The thread of a cell with its jobs; a host that falls silent; the levels of health."""
 
-import gc
 import re
 import signal
 import sys
 import threading
 import time
-import weakref
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -129,18 +127,6 @@ def test_a_job_has_a_longest_time_without_progress(way: str) -> None:
     go_on.set()
     over.set()
     worker.close(10.0)
-
-
-@pytest.mark.slow
-def test_a_worker_that_nobody_uses_is_collected_and_its_thread_ends() -> None:
-    worker = CellWorker(idle=lambda: None, idle_period_s=0.001)
-    worker.wait(worker.start("work", lambda _report: None), 10.0)
-    thread, gone = worker._thread, weakref.ref(worker)
-    del worker
-    gc.collect()
-    thread.join(10.0)
-    assert not thread.is_alive()
-    assert gone() is None
 
 
 def test_a_wait_answers_a_signal_that_another_thread_got(worker: CellWorker) -> None:

@@ -450,7 +450,6 @@ def line() -> Line:
     return Line()
 
 
-
 @pytest.mark.long
 def test_a_part_is_named_kept_verified_and_let_go(served, open_page) -> None:
     page = open_page(address(served), command=True)
