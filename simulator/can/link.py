@@ -6,7 +6,7 @@
 import bisect
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable
 from operator import attrgetter
 from typing import Protocol
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from simulator.can.faults import CanLinkFaults
 from simulator.can.node import SendBurst
-from simulator.can.wire import Burst, CanWire
+from simulator.can.wire import CanWire, WireMessage
 
 Capture = Callable[[float, int, bytes], None]
 """Takes time in s, identifier and data of each message on the wire."""
@@ -84,7 +84,7 @@ class CanLink:
 
     def send(self, can_id: int, data: bytes, now_s: float) -> None:
         """Send a message of the host; it reaches the devices before this returns."""
-        self._wire.put(Burst(now_s, can_id, (data,), from_host=True))
+        self._wire.put(WireMessage(now_s, can_id, data, from_host=True))
         if not self.faults.bus_off:
             for device in tuple(self._devices):
                 device.receive(can_id, data, now_s)
@@ -92,13 +92,8 @@ class CanLink:
     def take(self, now_s: float, limit: int = _INBOX_LIMIT) -> list[can.Message]:
         """Let the time pass until ``now_s`` s; return up to ``limit`` arrived messages."""
         self.advance(now_s)
-        inbox = self._inbox
-        if inbox and inbox[-1].timestamp <= now_s and len(inbox) <= limit:
-            messages = list(inbox)
-            inbox.clear()
-            return messages
-        arrived = min(limit, bisect.bisect_right(inbox, now_s, key=_ARRIVAL_S))
-        return [inbox.popleft() for _ in range(arrived)]
+        arrived = min(limit, bisect.bisect_right(self._inbox, now_s, key=_ARRIVAL_S))
+        return [self._inbox.popleft() for _ in range(arrived)]
 
     def advance(self, now_s: float) -> None:
         """Let devices and faults act until ``now_s`` s."""
@@ -133,49 +128,35 @@ class CanLink:
         """
         if len(self._inbox) + self._wire.n_waiting > _INBOX_LIMIT:
             return ready_s
-        self._wire.put(Burst(ready_s, can_id, burst))
+        for data in burst:
+            self._wire.put(WireMessage(ready_s, can_id, data))
         return self._wire.end_s(ready_s, can_id)
 
     def _transmit(self, now_s: float) -> None:
         """Move messages sent until ``now_s`` s into the inbox, with the faults."""
-        inbox = self._inbox
-        for ends_s, burst, messages in self._wire.take(now_s):
-            can_id = burst.can_id
-            for through_s, data in zip(ends_s, messages, strict=True) if self.capture else ():
-                for capture in self.capture:
-                    capture(through_s, can_id, data)
-            if burst.from_host:
+        inbox, faults = self._inbox, self.faults
+        for end_s, (_, can_id, data, from_host) in self._wire.take(now_s):
+            for capture in self.capture:
+                capture(end_s, can_id, data)
+            if from_host:
                 continue
+            arrivals: Iterable[tuple[float, int, bytes]] = ((end_s, len(data), data),)
             # A capture may have injected a fault.
-            disturbed = self.faults.disturbs
-            arrived: Iterable[can.Message]
-            if disturbed:
-                arrived = self._disturbed(ends_s, can_id, messages)
-            else:
-                arrived = [
-                    can.Message(through_s, can_id, False, data=data)
-                    for through_s, data in zip(ends_s, messages, strict=True)
-                ]
-            if disturbed or (inbox and inbox[-1].timestamp > ends_s[0]):
-                for message in arrived:
+            if faults.disturbs:
+                arrivals = faults.pass_on(end_s, data, self._rng)
+            for arrival_s, length_code, changed in arrivals:
+                message = can.Message(arrival_s, can_id, False, dlc=length_code, data=changed)
+                if inbox and inbox[-1].timestamp > arrival_s:
                     bisect.insort(inbox, message, key=_ARRIVAL_S)
-            else:
-                inbox.extend(arrived)
-
-    def _disturbed(
-        self, ends_s: Sequence[float], can_id: int, messages: Sequence[bytes]
-    ) -> Iterator[can.Message]:
-        """Yield the arrivals of messages that were sent at these times, with the faults."""
-        for through_s, data in zip(ends_s, messages, strict=True):
-            for arrival_s, code, changed in self.faults.pass_on(through_s, data, self._rng):
-                yield can.Message(arrival_s, can_id, False, dlc=code, data=changed)
+                else:
+                    inbox.append(message)
 
     def _flood(self, now_s: float) -> None:
         if math.isinf(self._flood_due_s):
             self._flood_due_s = now_s
         while self._flood_due_s <= now_s:
             data = self._rng.bytes(8)
-            self._wire.put(Burst(self._flood_due_s, _FLOOD_ID, (data,)))
+            self._wire.put(WireMessage(self._flood_due_s, _FLOOD_ID, data))
             self._flood_due_s += 1.0 / self.faults.flood_hz
 
     def _report_state(self, now_s: float) -> None:

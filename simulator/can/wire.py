@@ -1,10 +1,8 @@
 """The CAN wire: transmission times of messages."""
 
 import math
-from bisect import bisect_left, bisect_right
 from collections import deque
-from collections.abc import Iterator, Sequence
-from itertools import accumulate
+from collections.abc import Iterator
 from typing import NamedTuple
 
 _STUFFABLE_BITS = 34
@@ -34,101 +32,73 @@ def mean_bits(data: bytes) -> float:
     of 0x00). The result is within 3 % of the mean of the exact count (ISO 11898-1), at a fiftieth
     of its computing time.
     """
-    (length_s,) = _Queued(Burst(0.0, 0, (data,)), 1.0).lengths_s
-    return length_s
+    return _MEAN_BITS[len(data)][data.count(0x00) + data.count(0xFF)]
 
 
-class Burst(NamedTuple):
-    """Messages of one identifier that wait for the wire together."""
+class WireMessage(NamedTuple):
+    """One message on the wire, or waiting for it."""
 
     ready_s: float
-    """Time in s at which they are ready to send."""
+    """Time in s at which it is ready to send."""
     can_id: int
-    messages: Sequence[bytes]
-    """Identifier, and content of each (of one length)."""
+    data: bytes
     from_host: bool = False
-    """Whether they go before all others."""
-
-
-class _Queued:
-    """A burst with the time in s that each of its messages takes, and how many are through."""
-
-    def __init__(self, burst: Burst, bit_s: float) -> None:
-        self.burst = burst
-        bits = _MEAN_BITS[len(burst.messages[0])]
-        self.lengths_s = [
-            bits[data.count(0x00) + data.count(0xFF)] * bit_s for data in burst.messages
-        ]
-        self.sent = 0
+    """Whether it goes before all others."""
 
 
 class CanWire:
     """One wire that carries one message at a time; the lowest identifier that waits goes first.
 
-    Messages of one identifier keep their order, as in a controller with one mailbox for each. The
-    ends of a burst are worked out together, up to the message before which a lower identifier is
-    ready.
+    Messages of one identifier keep their order, as in a controller with one mailbox for each.
     """
 
     def __init__(self, bitrate: int) -> None:
-        self.bitrate = bitrate
-        self._busy_until_s = -math.inf
-        self._queues: dict[int, deque[_Queued]] = {}
-        self.n_waiting = 0
-        """Number of messages that wait."""
-        self._key, self._ends_s = 0, list[float]()
-        """Queue whose messages go next, and the end in s of each; empty until worked out."""
+        self._bit_s = 1.0 / bitrate
+        self._free_s = -math.inf
+        self._queues: dict[int, deque[WireMessage]] = {}
 
-    def put(self, burst: Burst) -> None:
-        """Let messages wait from their ``ready_s`` on."""
-        queue = self._queues.setdefault(-1 if burst.from_host else burst.can_id, deque())
-        queue.append(_Queued(burst, 1.0 / self.bitrate))
-        self.n_waiting += len(burst.messages)
-        self._ends_s = []
+    @property
+    def n_waiting(self) -> int:
+        """Number of messages that wait."""
+        return sum(map(len, self._queues.values()))
+
+    def put(self, message: WireMessage) -> None:
+        """Let a message wait from its ``ready_s`` on."""
+        key = -1 if message.from_host else message.can_id
+        self._queues.setdefault(key, deque()).append(message)
 
     def next_end_s(self) -> float:
-        """Return when the next message will be through, in s; infinity where none waits."""
-        if not self._queues:
-            return math.inf
-        if not self._ends_s:
-            self._arbitrate()
-        return self._ends_s[0]
+        """Return when the next message will be through, in s; infinity if none waits."""
+        return self._next()[0] if self._queues else math.inf
 
-    def _arbitrate(self) -> None:
-        """Work out which messages go next: one burst, until a lower identifier is ready."""
-        ready_s = {key: queue[0].burst.ready_s for key, queue in self._queues.items()}
-        start_s = max(self._busy_until_s, min(ready_s.values()))
-        self._key = min(key for key, at_s in ready_s.items() if at_s <= start_s)
-        head = self._queues[self._key][0]
-        ends_s = list(accumulate(head.lengths_s[head.sent :], initial=start_s))[1:]
-        cut_s = min((at_s for key, at_s in ready_s.items() if key < self._key), default=math.inf)
-        self._ends_s = ends_s[: bisect_left(ends_s, cut_s) + 1]
+    def _next(self) -> tuple[float, int]:
+        """Return when the next message will be through, in s, and its queue."""
+        ready_s = [(queue[0].ready_s, key) for key, queue in self._queues.items()]
+        start_s = max(self._free_s, min(ready_s)[0])
+        key = min(key for at_s, key in ready_s if at_s <= start_s)
+        return start_s + mean_bits(self._queues[key][0].data) * self._bit_s, key
 
-    def take(self, now_s: float) -> Iterator[tuple[list[float], Burst, Sequence[bytes]]]:
-        """Yield what is through until ``now_s`` s: the end of each message in s, its burst, it."""
-        while self._queues and self.next_end_s() <= now_s:
-            queue = self._queues[self._key]
-            head, n = queue[0], bisect_right(self._ends_s, now_s)
-            ends_s, self._ends_s = self._ends_s[:n], self._ends_s[n:]
-            messages = head.burst.messages[head.sent : head.sent + n]
-            head.sent += n
-            self.n_waiting -= n
-            self._busy_until_s = ends_s[-1]
-            if head.sent == len(head.lengths_s):
-                queue.popleft()
-                if not queue:
-                    del self._queues[self._key]
-            yield ends_s, head.burst, messages
+    def take(self, now_s: float) -> Iterator[tuple[float, WireMessage]]:
+        """Yield each message that is through until ``now_s`` s, and its end in s."""
+        while self._queues:
+            end_s, key = self._next()
+            if end_s > now_s:
+                return
+            self._free_s = end_s
+            message = self._queues[key].popleft()
+            if not self._queues[key]:
+                del self._queues[key]
+            yield end_s, message
 
     def end_s(self, ready_s: float, can_id: int) -> float:
         """Return when the last message of an identifier will be through, in s.
 
         So it is if no other one that goes before it joins those that wait; ``ready_s`` at least.
         """
-        before_s = sum(
-            sum(queued.lengths_s[queued.sent :])
+        bits = sum(
+            mean_bits(message.data)
             for key, queue in self._queues.items()
             if key <= can_id
-            for queued in queue
+            for message in queue
         )
-        return max(self._busy_until_s, ready_s) + before_s
+        return max(self._free_s, ready_s) + bits * self._bit_s

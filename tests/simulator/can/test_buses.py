@@ -14,7 +14,7 @@ from simulator.can.link import CanLink
 from simulator.can.memory_bus import InMemoryCanBus
 from simulator.can.node import SendBurst
 from simulator.can.slcan import SlcanAdapter
-from simulator.can.wire import Burst, CanWire, mean_bits
+from simulator.can.wire import CanWire, WireMessage, mean_bits
 from simulator.clock import VirtualClock
 from simulator.errors import SimulatorStateError
 
@@ -69,19 +69,15 @@ def test_the_estimate_is_the_mean_of_the_exact_count(low: int, high: int, mean: 
     assert sum(map(mean_bits, frames)) / len(frames) == pytest.approx(mean, rel=0.03)
 
 
-def waiting(ready_s: float, can_id: int, *data: bytes) -> Burst:
-    return Burst(ready_s, can_id, data)
-
-
 def test_messages_wait_for_each_other_on_the_wire() -> None:
     wire = CanWire(500_000)
     data = bytes(range(1, 9))
     length_s = mean_bits(data) / 500e3
-    wire.put(waiting(1.0, TPDO_ID, data, data))
-    wire.put(waiting(2.0, TPDO_ID + 1, data))
+    for ready_s, can_id in ((1.0, TPDO_ID), (1.0, TPDO_ID), (2.0, TPDO_ID + 1)):
+        wire.put(WireMessage(ready_s, can_id, data))
     assert wire.end_s(1.0, TPDO_ID) == pytest.approx(1.0 + 2 * length_s)
     assert wire.end_s(1.0, TPDO_ID - 1) == 1.0
-    ends_s = [end_s for burst_ends_s, *_ in wire.take(3.0) for end_s in burst_ends_s]
+    ends_s = [end_s for end_s, _ in wire.take(3.0)]
     assert ends_s == pytest.approx([1.0 + length_s, 1.0 + 2 * length_s, 2.0 + length_s])
     assert wire.n_waiting == 0
     assert math.isinf(wire.next_end_s())
@@ -90,9 +86,10 @@ def test_messages_wait_for_each_other_on_the_wire() -> None:
 def test_the_lowest_identifier_goes_first_but_never_interrupts_one_on_the_wire() -> None:
     wire = CanWire(1_000_000)
     data = bytes(range(1, 9))
-    wire.put(waiting(1.0, 0x385, data, data, data))
-    wire.put(waiting(1.0001, 0x285, data))  # while the first of the burst is on the wire
-    order = [burst.can_id for ends_s, burst, _ in wire.take(2.0) for _ in ends_s]
+    for _ in range(3):
+        wire.put(WireMessage(1.0, 0x385, data))
+    wire.put(WireMessage(1.0001, 0x285, data))  # while the first of the burst is on the wire
+    order = [message.can_id for _, message in wire.take(2.0)]
     assert order == [0x385, 0x285, 0x385, 0x385]
 
 
