@@ -58,7 +58,7 @@ class PolledSource:
         self._limit = limit
         # A bus in memory has a method for all arrived messages, which is faster than one by one.
         self._recv_all: Callable[[int], list[can.Message]] = getattr(
-            bus, "recv_all", self._recv_each
+            bus, "recv_all", lambda most: list(islice(iter(partial(bus.recv, 0), None), most))
         )
 
     def start(self) -> None:
@@ -76,9 +76,6 @@ class PolledSource:
         return [
             (m.timestamp if 0.0 < m.timestamp <= now_s else now_s, m) for m in messages if m.is_rx
         ]
-
-    def _recv_each(self, limit: int) -> list[can.Message]:
-        return list(islice(iter(partial(self._bus.recv, 0), None), limit))
 
     def wait(self, timeout_s: float) -> None:
         """Sleep for a short while, at most ``timeout_s``."""

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Callable
 from functools import partial
+from itertools import islice
 from typing import Any
 
 import can
@@ -27,8 +28,8 @@ _UPDATE = "the unit's firmware does not fit this software's EDS; update the olde
 """Next step by the upper half of an abort code, and that for the other codes."""
 _ATTEMPTS = 3
 """Number of attempts of a transfer without a response."""
-MAX_OBJECT_BYTES = 1 << 15
-"""Longest allowed object; the longest one is the last frame of a control unit: 413 bytes for 408
+_MOST_SEGMENTS = 5000
+"""More than any object has. The longest one is the last frame of a control unit: 413 bytes for 408
 taxels."""
 COB_SDO_RESPONSE = 0x580
 COB_SDO_REQUEST = 0x600
@@ -36,16 +37,6 @@ COB_SDO_REQUEST = 0x600
 
 # Each request that is repeated because its answer was lost is an error there.
 logging.getLogger(SdoClient.__module__).setLevel(logging.CRITICAL)
-
-
-def _used_bytes(first: int) -> int:
-    """Return the length of an answer without its unused bytes, by its first byte."""
-    kind = first & 0xE0
-    if kind == sdo.RESPONSE_SEGMENT_UPLOAD:
-        return _SDO_BYTES - (first >> 1 & 7)
-    if kind == sdo.RESPONSE_UPLOAD and first & 3 == sdo.EXPEDITED | sdo.SIZE_SPECIFIED:
-        return _SDO_BYTES - (first >> 2 & 3)
-    return {sdo.RESPONSE_SEGMENT_DOWNLOAD: 1, sdo.RESPONSE_DOWNLOAD: 4}.get(kind, _SDO_BYTES)
 
 
 class SdoNotAnswered(SdoCommunicationError):
@@ -144,31 +135,25 @@ class PolledSdoClient(SdoClient):
         canopen's own method reads segments as long as the server announces more of them.
         """
         with self.open(index, subindex, buffering=0) as stream:  # type: ignore[no-untyped-call]
-            size: int | None = stream.size
-            data = bytearray()
-            while piece := stream.read(_SEGMENT_BYTES):
-                data += piece
-                if len(data) > MAX_OBJECT_BYTES:
-                    self.abort(sdo.ABORT_OUT_OF_MEMORY)  # type: ignore[no-untyped-call]
-                    raise SdoCommunicationError(
-                        f"the SDO answer has more than {MAX_OBJECT_BYTES} bytes: check the EDS"
-                    )
-        if size is not None and len(data) != size:
-            raise SdoCommunicationError(f"{len(data)} bytes came, {size} were announced")
+            segments = iter(partial(stream.read, _SEGMENT_BYTES), b"")
+            data = b"".join(islice(segments, _MOST_SEGMENTS))
+            announced = len(data) if stream.size is None else stream.size
+        if len(data) >= _MOST_SEGMENTS * _SEGMENT_BYTES:
+            raise SdoCommunicationError(f"{len(data)} bytes or more came: check the EDS")
+        if len(data) != announced:
+            raise SdoCommunicationError(f"{len(data)} bytes came, {announced} were announced")
         variable = self.od.get_variable(index, subindex)
         if variable is None or not variable.fixed_size:
-            return bytes(data)
+            return data
         length = len(variable) // 8
         if len(data) < length:
             raise SdoCommunicationError(f"{len(data)} bytes came, the object has {length}")
         # Units may send four bytes for a shorter object.
-        return bytes(data[:length])
+        return data[:length]
 
     def on_response(self, can_id: int, data: bytes | bytearray, timestamp: float) -> None:
-        """Process a message of the SDO server; some servers leave out the unused bytes."""
+        """Process a message of the SDO server."""
         self._answers += 1
-        if data and len(data) >= _used_bytes(data[0]):
-            data = bytes(data).ljust(_SDO_BYTES, b"\0")
         super().on_response(can_id, data, timestamp)  # type: ignore[no-untyped-call]
 
     def read_response(self) -> bytes:

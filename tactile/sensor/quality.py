@@ -157,12 +157,15 @@ class QualityWatch:
         tare, good = self._tare, taxels[~void[taxels]]
         if tare is None or 2 * len(good) <= len(taxels):
             return ""
-        drift, limit = _median(tared[good]), self._limits.drift_share * self._layout.adc_max
+        drift, limit = (
+            float(np.median(tared[good])),
+            self._limits.drift_share * self._layout.adc_max,
+        )
         if abs(drift) <= limit:
             return ""
         # Noise alone may move the median further.
         share = np.sqrt((1.0 / self._limits.mean_frames + 1.0 / tare.n_frames) / len(good))
-        spread = _MEDIAN_SPREAD * _median(tare.noise_counts[good]) * float(share)
+        spread = float(_MEDIAN_SPREAD * np.median(tare.noise_counts[good]) * share)
         limit = max(limit, _DRIFT_SIGMA * spread)
         if abs(drift) <= limit:
             return ""
@@ -171,9 +174,3 @@ class QualityWatch:
             "the sensor come to an even temperature, clear the pads, then start the cell to take "
             "a new zero"
         )
-
-
-def _median(values: Values) -> float:
-    """Return the median of at least one value; a third of the time of np.median on a pad."""
-    ordered, n = np.sort(values), len(values)
-    return 0.5 * float(ordered[(n - 1) // 2] + ordered[n // 2])

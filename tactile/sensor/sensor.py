@@ -64,12 +64,12 @@ _EDGE = 1.7
 and their noise grows with the load (simulated cell, 1 to 8 N)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class SensorStatistics:
-    """Counts since the start of the sensor."""
+    """Counts since the start of the sensor; they are updated."""
 
     bad_taxels: int = 0
-    """Taxels that do not measure now; masked and filled from their neighbours."""
+    """Taxels that do not measure in the newest frame; masked and filled from their neighbours."""
     saturated_frames: int = 0
     """Frames with healthy taxels at full scale."""
     void_frames: int = 0
@@ -87,8 +87,6 @@ class TactileReading:
     from neighbours."""
     force_n: Values
     """(n_taxels,) float64: normal force on each active taxel in N, 0 on the others."""
-    pad_force_n: Values
-    """(n_pads,) float64: sum over each pad in N."""
     finger_force_n: tuple[float, float]
     """Force on the gripping pad of finger 0 and of finger 1 in N."""
     scan_force_n: tuple[float, float]
@@ -157,7 +155,6 @@ class TactileSensor:
         self._hood = Neighbourhood(layout)
         self._frames = deque[Values](maxlen=self._settings.mean_frames)
         self._quality = QualityWatch(self._hood, self._settings)
-        self._pad_starts = [layout.taxels_of(pad).start for pad in range(layout.n_pads)]
         self._grips = tuple(layout.taxels_of(pad) for pad in layout.gripping_pads)
         self._reset()
 
@@ -175,17 +172,9 @@ class TactileSensor:
         self._new_forces: deque[ForceMessage] = deque(maxlen=_MOST_FORCES)
         self._force_bad: NDArray[np.bool_] | None = None
         self._taxel_noise_n = (inf, inf)
-        self._saturated_frames = self._void_frames = 0
-        self._quality.restart(None)
-
-    @property
-    def statistics(self) -> SensorStatistics:
+        self.statistics = SensorStatistics()
         """Counts since the start."""
-        return SensorStatistics(
-            bad_taxels=int(np.count_nonzero(self._quality.bad)),
-            saturated_frames=self._saturated_frames,
-            void_frames=self._void_frames,
-        )
+        self._quality.restart(None)
 
     def start(self) -> SourceIdentity:
         """Start the source; the zero of an earlier start is discarded."""
@@ -381,23 +370,22 @@ class TactileSensor:
         tared = sum(self._frames, np.zeros_like(counts)) / len(self._frames)
         active = np.zeros_like(bad) if self._touch is None else self._touch.step(tared)
         force_n = np.where(active, self.calibration.force_n(tared), 0.0)
-        pad_force_n = np.add.reduceat(force_n, self._pad_starts)
         all_n = self.calibration.force_n(counts)
         scan_n = np.where(active, all_n, 0.0)
         reason = self._objection(frame, full, bad, tared)
         if not reason and self.has_forces:
             self._compare(frame, counts, active, scan_n, all_n)
-        for array in (tared, active, force_n, pad_force_n, saturated, bad):
+        for array in (tared, active, force_n, saturated, bad):
             array.setflags(write=False)
-        self._saturated_frames += bool(full.any())
-        self._void_frames += bool(reason) and self._mean_full and self.tare_result is not None
-        first, second = self.layout.gripping_pads
+        counted = self.statistics
+        counted.bad_taxels = int(np.count_nonzero(bad))
+        counted.saturated_frames += bool(full.any())
+        counted.void_frames += bool(reason) and self._mean_full and tare is not None
         return TactileReading(
             frame=frame,
             tared_counts=tared,
             force_n=force_n,
-            pad_force_n=pad_force_n,
-            finger_force_n=(float(pad_force_n[first]), float(pad_force_n[second])),
+            finger_force_n=self._on_fingers(force_n),
             scan_force_n=self._on_fingers(scan_n),
             active=active,
             saturated=saturated,

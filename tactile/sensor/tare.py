@@ -4,7 +4,7 @@ A hand on the sensor during the tare makes every later force wrong. So the zero 
 sign of a touch, and it is never taken or corrected automatically.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +49,7 @@ class TaxelHealth:
 def assess_health(frames: NDArray[np.uint16], adc_max: int) -> TaxelHealth:
     """Judge the taxels from untouched frames.
 
-    Raises ValueError for fewer than 8 frames.
+    Raises TareRefused for fewer than 8 frames.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def assess_health(frames: NDArray[np.uint16], adc_max: int) -> TaxelHealth:
         Raw counts of consecutive frames, at least 8.
     """
     if len(frames) < LEAST_FRAMES:
-        raise ValueError(f"{len(frames)} frames, at least {LEAST_FRAMES} are needed")
+        raise TareRefused(f"a tare of {len(frames)} frames, at least {LEAST_FRAMES} are needed")
     low, high = frames.min(axis=0), frames.max(axis=0)
     constant = low == high
     noisy = bool(np.count_nonzero(constant) <= _NOISY_SHARE * len(constant))
@@ -73,24 +73,16 @@ def assess_health(frames: NDArray[np.uint16], adc_max: int) -> TaxelHealth:
 class TareResult:
     """The zero."""
 
-    offset_counts: Values
+    offset_counts: Values = field(repr=False)
     """(n_taxels,) float64: mean counts without a touch; bad taxels have their neighbours' mean."""
-    noise_counts: Values
+    noise_counts: Values = field(repr=False)
     """(n_taxels,) float64: standard deviation of the counts."""
-    health: TaxelHealth
+    health: TaxelHealth = field(repr=False)
     """Broken taxels."""
     n_frames: int
     """Frames averaged."""
     t_s: float
     """Monotonic time of the last one in s."""
-
-    def __repr__(self) -> str:
-        """Return the means: the values of hundreds of taxels would fill pages."""
-        return (
-            f"TareResult(mean of {len(self.offset_counts)} taxels: offset "
-            f"{self.offset_counts.mean():.2f}, noise {self.noise_counts.mean():.2f} counts; "
-            f"{self.health.summary()}, n_frames={self.n_frames}, t_s={self.t_s:.3f})"
-        )
 
 
 def too_many_bad(n_bad: int, n_taxels: int, share: float) -> bool:
@@ -103,8 +95,6 @@ def compute_tare(
 ) -> TareResult:
     """Compute the zero from frames, shape (n_frames, n_taxels); raises TareRefused."""
     layout = hood.layout
-    if len(frames) < LEAST_FRAMES:
-        raise TareRefused(f"a tare of {len(frames)} frames, at least {LEAST_FRAMES} are needed")
     health = assess_health(frames, layout.adc_max)
     for index, pad in enumerate(layout.pads):
         n_bad = int(np.count_nonzero(health.bad[layout.taxels_of(index)]))

@@ -106,7 +106,7 @@ class Bench:
             changed = change(burst)
             return send(ready_s, can_id, changed) if changed else ready_s
 
-        self.unit.connect(altered)
+        self.unit.send = altered
 
 
 def run(cell: SimulatedCell, source: FrameSource, seconds: float) -> list[TactileFrame]:
