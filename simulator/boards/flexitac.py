@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulator.boards.resistive import Counts, ResistivePads
-from simulator.boards.site import BoardSite, SerialBoard
+from simulator.boards.site import BoardSite, SerialBoard, SimulatedBoards
 from simulator.clock import ROUNDING_S
 
 _BAUD_RATE = 2_000_000
@@ -17,7 +17,7 @@ _JITTER = 0.03
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FlexiTacSettings:
+class FlexiTacSettings(SimulatedBoards):
     """Two equal boards."""
 
     rows: int = 12
@@ -30,9 +30,6 @@ class FlexiTacSettings:
         """Return both boards."""
         pads = ResistivePads(site.world, site.layout, site.taxel_faults, seed=site.seed)
         return tuple(FlexiTacBoard(finger, pads, self, site) for finger in (0, 1))
-
-    def can_device(self, _site: BoardSite) -> None:
-        """Return None: the boards are on serial lines."""
 
 
 class FlexiTacBoard(SerialBoard):

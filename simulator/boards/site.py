@@ -134,10 +134,10 @@ class SerialBoard:
 class SimulatedBoards(Protocol):
     """Settings of the simulated devices of a sensor without control unit."""
 
-    def serial_boards(self, site: BoardSite) -> tuple[SerialBoard, ...]:
+    def serial_boards(self, _site: BoardSite) -> tuple[SerialBoard, ...]:
         """Return its devices on serial lines, in the order of the lines."""
-        ...
+        return ()
 
-    def can_device(self, site: BoardSite) -> CanDevice | None:
+    def can_device(self, _site: BoardSite) -> CanDevice | None:
         """Return its device on CAN."""
-        ...
+        return None

@@ -6,8 +6,9 @@ from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from simulator.boards.site import BoardSite, SerialBoard
+from simulator.boards.site import BoardSite, SimulatedBoards
 from simulator.can.node import SendBurst, unconnected
 from simulator.clock import ROUNDING_S
 
@@ -18,6 +19,7 @@ _REST = (0x7E31, 0x7E31, 0x9312)
 _SPREAD_COUNTS = 900.0
 """Standard deviation of the rest values of z between taxels. [assumed]"""
 _JITTER = 0.02
+_NEIGHBOURS = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,7 +31,7 @@ class UskinBoard:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class UskinSettings:
+class UskinSettings(SimulatedBoards):
     """Two boards on one bus, and the physics of their pads; all values are assumptions."""
 
     boards: tuple[UskinBoard, UskinBoard]
@@ -49,10 +51,6 @@ class UskinSettings:
     drift_counts_s: float = 5.0
     """Drift of z of a pad: 1,000 counts in some minutes."""
 
-    def serial_boards(self, _site: BoardSite) -> tuple[SerialBoard, ...]:
-        """Return an empty tuple: the boards are on CAN."""
-        return ()
-
     def can_device(self, site: BoardSite) -> "SimulatedUskin":
         """Return both boards."""
         return SimulatedUskin(self, site)
@@ -65,17 +63,14 @@ class SimulatedUskin:
         self._world, self._layout, self._settings = site.world, site.layout, settings
         self._faults, self._taxel_faults = site.faults, site.taxel_faults
         self._rng = np.random.default_rng([site.seed, 5])
-        self._send: SendBurst = unconnected
+        self.send: SendBurst = unconnected
+        """Sends messages; see `simulator.can.link.CanDevice`."""
         self._due_s = [inf, inf]
         self._drift = self._rng.uniform(0.5, 1.5, 2) * settings.drift_counts_s
         self._drifted = np.zeros(site.layout.n_taxels)
         self._rest = _REST[2] + self._rng.normal(0.0, _SPREAD_COUNTS, site.layout.n_taxels)
         self._lagging_n = np.zeros(site.layout.n_taxels)
         self._now_s = site.start_s
-
-    def connect(self, send: SendBurst) -> None:
-        """Plug the boards in."""
-        self._send = send
 
     def receive(self, can_id: int, data: bytes, now_s: float) -> None:
         """Start the board that has this start message."""
@@ -109,7 +104,7 @@ class SimulatedUskin:
             shear = np.rint(_REST[0] + self._rng.normal(0.0, 12.0, (len(z), 2)))
             ids = self._settings.boards[finger].taxel_ids
             for can_id, (x, y), sample in zip(ids, shear.tolist(), z.tolist(), strict=True):
-                self._send(now_s, can_id, [struct.pack(">BHHH", 0, int(x), int(y), sample)])
+                self.send(now_s, can_id, [struct.pack(">BHHH", 0, int(x), int(y), sample)])
 
     def _scan(self, finger: int) -> NDArray[np.uint16]:
         """Return z of all taxels (n_taxels,); each scan advances the drift of its board."""
@@ -122,8 +117,7 @@ class SimulatedUskin:
         for number in range(self._layout.n_pads):
             taxels = self._layout.taxels_of(number)
             matrix = compressed_n[taxels].reshape(self._layout.pad_shape[number])
-            padded = np.pad(matrix, 1)
-            neighbours = padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]
+            neighbours = ndimage.convolve(matrix, _NEIGHBOURS, mode="constant")
             compressed_n[taxels] = (matrix + law.crosstalk * neighbours).ravel()
         pull = law.counts_per_n * compressed_n
         z = self._rest + self._drifted + (-pull if law.falling else pull)

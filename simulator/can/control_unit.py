@@ -205,10 +205,6 @@ class SimulatedControlUnit(CanopenDevice):
         if can_id == self._sync_id:
             self._sync()
 
-    def _serve(self, request: bytes) -> None:
-        super()._serve(request)
-        self._time_forces()
-
     def emergency(self, code: int, *, register: int = REGISTER_GENERIC) -> None:
         """Report an error: EMCY, error register and history; code 0: all errors are cleared.
 
@@ -253,11 +249,8 @@ class SimulatedControlUnit(CanopenDevice):
         forces = self.settings.force_messages
         self._force_id = self._pdo_cob_id(unit_od.FORCES_COB_ID) if forces else None
 
-    def _nmt_changed(self) -> None:
-        self._time_forces()
-
-    def _time_forces(self) -> None:
-        """Start, continue or stop the event timer of the force messages."""
+    def _changed(self) -> None:
+        """Take over the settings; start, continue or stop the event timer of the force messages."""
         self._take_settings()
         period_s = 0.0
         if self.settings.force_messages and self.nmt_state == _OPERATIONAL:

@@ -187,7 +187,7 @@ class SimulatedDrive(CanopenDevice):
         if can_id == od.COB_HEARTBEAT + node_id:
             self._host_due_s = self._network.now_s + 1e-3 * silence_ms
 
-    def _nmt_changed(self) -> None:
+    def _changed(self) -> None:
         if self.nmt_state == "STOPPED":
             self._abort_connection()
 

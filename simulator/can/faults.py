@@ -177,6 +177,4 @@ class ControlUnitFaults:
         self._centre_taxels = centre
         if centre is not None:
             centre = None if self.centres_off else (centre[0] + self.centre_shift_taxels, centre[1])
-        if (force_n, centre) == (message.force_n, message.centre_taxels):
-            return message
         return replace(message, force_n=force_n, centre_taxels=centre)

@@ -35,8 +35,8 @@ _INBOX_LIMIT = 100_000
 class CanDevice(Protocol):
     """A device on a bus."""
 
-    def connect(self, send: SendBurst) -> None:
-        """Plug the device in."""
+    send: SendBurst
+    """Sends its messages; set when it is plugged in."""
 
     def receive(self, can_id: int, data: bytes, now_s: float) -> None:
         """Take one message."""
@@ -74,11 +74,11 @@ class CanLink:
         self._flood_due_s = math.inf
         self._reported = (False, False)
         for device in devices:
-            device.connect(self._deliver)
+            device.send = self._deliver
 
     def add(self, device: CanDevice) -> Callable[[], None]:
         """Plug in a further device; returns the function that removes it from the bus."""
-        device.connect(self._deliver)
+        device.send = self._deliver
         self._devices.append(device)
         return lambda: self._devices.remove(device)
 

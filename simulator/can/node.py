@@ -41,7 +41,7 @@ sequence and returns the end time of the last one in s."""
 
 def unconnected(_ready_s: float, _can_id: int, _messages: list[bytes]) -> float:
     """Refuse to send, as a device on no bus does. Raises SimulatorStateError."""
-    raise SimulatorStateError("the device is not connected to a bus: connect() first")
+    raise SimulatorStateError("the device is not connected to a bus")
 
 
 class DeviceNetwork(canopen.Network):
@@ -101,7 +101,7 @@ class CanopenDevice(ABC):
 
     def __init__(self, node_id: int, dictionary: canopen.ObjectDictionary, start_s: float) -> None:
         self.send: SendBurst = unconnected
-        """Sends its messages; set by `connect`."""
+        """Sends its messages; set when it is plugged into a bus."""
         self._node_id = node_id
         self._boot_due_s = math.inf
         make: Any = canopen.LocalNode  # most of its interface has no types
@@ -113,10 +113,6 @@ class CanopenDevice(ABC):
         self._values: dict[str, Any] = {}
         """Values that the node does not store, by the name of a variable or of its object in the
         EDS: a value, or a function of the sub-index that returns it."""
-
-    def connect(self, send: SendBurst) -> None:
-        """Plug the device into a bus."""
-        self.send = send
 
     @property
     def nmt_state(self) -> str:
@@ -155,7 +151,7 @@ class CanopenDevice(ABC):
             self._reset(everything=data[0] == NMT_COMMANDS["RESET"])
         elif data[0] in map(NMT_COMMANDS.get, _CHANGES_OF_STATE):
             self._node.nmt.on_command(0, data, self._network.now_s)
-            self._nmt_changed()
+            self._changed()
 
     def _serve(self, request: bytes) -> None:
         """Answer one SDO request."""
@@ -168,14 +164,15 @@ class CanopenDevice(ABC):
             code = sdo.ABORT_INVALID_COMMAND_SPECIFIER
             abort = _ABORT.pack(sdo.RESPONSE_ABORTED, index, subindex, code)
             self._network.send_message(server.tx_cobid, abort)
+        self._changed()
 
     @abstractmethod
     def _take(self, can_id: int, data: bytes) -> None:
         """Take a message that is neither an NMT command nor an SDO request."""
 
     @abstractmethod
-    def _nmt_changed(self) -> None:
-        """Carry out the effects of a change of the NMT state."""
+    def _changed(self) -> None:
+        """Carry out the effects of an SDO request or of a change of the NMT state."""
 
     def power_cycle(self) -> None:
         """Switch the power off and on: all values are defaults; boot-up after the boot."""

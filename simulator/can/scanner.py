@@ -1,6 +1,5 @@
 """The scanner of the control unit: from a scan to messages, with faults and status."""
 
-from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -98,13 +97,7 @@ class PadForces:
         self._active = np.zeros(len(self._place), dtype=np.bool_)
         self._mean = np.zeros(len(self._place))
 
-    def message(
-        self,
-        counts: NDArray[np.uint16],
-        status: ForceStatus,
-        *,
-        spoil: Callable[[ForceMessage], ForceMessage] = lambda message: message,
-    ) -> bytes:
+    def message(self, counts: NDArray[np.uint16], status: ForceStatus) -> ForceMessage:
         """Return the next message.
 
         Parameters
@@ -113,8 +106,6 @@ class PadForces:
             Scan of both gripping pads, finger 0 first.
         status
             Status of this scan.
-        spoil
-            Applies the faults of forces and centres.
         """
         if np.count_nonzero((counts >= self._adc_max) & ~self._bad):
             status |= ForceStatus.SATURATED
@@ -126,14 +117,13 @@ class PadForces:
             centre = (float(x), float(y))
         self._counter = (self._counter + 1) % FORCE_COUNTERS
         n = self._n_first
-        message = ForceMessage(
+        return ForceMessage(
             t_s=0.0,
             counter=self._counter,
             status=status,
             force_n=(float(np.add.reduce(force_n[:n])), float(np.add.reduce(force_n[n:]))),
             centre_taxels=centre,
         )
-        return force_bytes(spoil(message))
 
     def scan(self, counts: NDArray[np.uint16]) -> NDArray[np.float64]:
         """Take a scan, and return the force in N on each touched taxel, 0 on the others, (n,)."""
@@ -216,7 +206,7 @@ class Scanner:
                 self.forces.scan(gripping)
         status = ForceStatus.OVERRUN if self.force_overrun else ForceStatus(0)
         self.force_overrun = False
-        return self.forces.message(gripping, status, spoil=faults.spoil)
+        return force_bytes(faults.spoil(self.forces.message(gripping, status)))
 
     def last_frame(self) -> bytes | None:
         """Return the samples of the last frame in bus format; None before the first frame.

@@ -24,13 +24,12 @@ TPDO_ID = 0x185
 class Echo:
     """Keeps what it hears, and sends what the test gives to `send`."""
 
+    send: SendBurst
+
     def __init__(self) -> None:
         self.heard: list[tuple[float, int, bytes]] = []
         self.due_s = math.inf
         """When it sends a heartbeat by itself."""
-
-    def connect(self, send: SendBurst) -> None:
-        self.send = send
 
     def receive(self, can_id: int, data: bytes, now_s: float) -> None:
         self.heard.append((now_s, can_id, data))

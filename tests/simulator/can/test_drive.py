@@ -23,7 +23,7 @@ class StepNetwork(canopen.Network):
         super().__init__()
         self.drive = drive
         self.now_s = 0.0
-        drive.connect(self._from_drive)
+        drive.send = self._from_drive
         self.let_pass(0.1)
 
     def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:

@@ -282,7 +282,7 @@ def test_an_old_link_is_replaced_and_a_foreign_one_left(device, tmp_path):
 @pytest.fixture
 def devices() -> CellDevices:
     cell = CellDevices(SimulatorSettings())
-    cell.unit.connect(lambda ready_s, _can_id, _messages: ready_s)
+    cell.unit.send = lambda ready_s, _can_id, _messages: ready_s
     cell.unit.advance(0.1)
     return cell
 
