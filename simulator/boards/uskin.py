@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from simulator.boards.site import BoardSite, SimulatedBoards
-from simulator.can.node import SendBurst, unconnected
+from simulator.can.node import SendBurst
 from simulator.clock import ROUNDING_S
 
 _START = bytes((7, 0))
@@ -63,7 +63,7 @@ class SimulatedUskin:
         self._world, self._layout, self._settings = site.world, site.layout, settings
         self._faults, self._taxel_faults = site.faults, site.taxel_faults
         self._rng = np.random.default_rng([site.seed, 5])
-        self.send: SendBurst = unconnected
+        self.send: SendBurst
         """Sends messages; see `simulator.can.link.CanDevice`."""
         self._due_s = [inf, inf]
         self._drift = self._rng.uniform(0.5, 1.5, 2) * settings.drift_counts_s

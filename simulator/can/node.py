@@ -14,8 +14,6 @@ from canopen.objectdictionary import ODVariable
 from canopen.sdo import constants as sdo
 from canopen.sdo.server import SdoServer
 
-from simulator.errors import SimulatorStateError
-
 _COB_NMT = 0x000
 """Identifier of NMT commands (CiA 301, 7.3.5)."""
 _RESETS = ("RESET", "RESET COMMUNICATION")
@@ -37,11 +35,6 @@ logging.getLogger(SdoServer.__module__).setLevel(logging.CRITICAL)
 SendBurst = Callable[[float, int, list[bytes]], float]
 """Takes the time in s at which messages are ready, their identifier and their data. Sends them in
 sequence and returns the end time of the last one in s."""
-
-
-def unconnected(_ready_s: float, _can_id: int, _messages: list[bytes]) -> float:
-    """Refuse to send, as a device on no bus does. Raises SimulatorStateError."""
-    raise SimulatorStateError("the device is not connected to a bus")
 
 
 class DeviceNetwork(canopen.Network):
@@ -100,7 +93,7 @@ class CanopenDevice(ABC):
     """
 
     def __init__(self, node_id: int, dictionary: canopen.ObjectDictionary, start_s: float) -> None:
-        self.send: SendBurst = unconnected
+        self.send: SendBurst
         """Sends its messages; set when it is plugged into a bus."""
         self._node_id = node_id
         self._boot_due_s = math.inf

@@ -134,13 +134,10 @@ class FlexiTacSource(PolledBoards[_Board]):
         check_layout(layout, profile, rows_along=rows_along)
         boards = [_Board(finger, profile, rows_along=rows_along) for finger in (0, 1)]
         super().__init__("FlexiTac", boards, layout=layout, period_s=PERIOD_S, **options)
-        self._profile, self._open_lines = profile, open_lines
+        self.unit = f"new frame of {profile.rows} x {profile.columns}"
+        self._open_lines = open_lines
         self._lines: list[BoardLine] = []
         self._polled_s = 0.0
-
-    def _absent(self, board: _Board) -> str:
-        size = f"{self._profile.rows} x {self._profile.columns}"
-        return f"{board.name} sent no frame of {size} within {self._startup_s:g} s: {board.trouble}"
 
     def open(self) -> None:
         """Open the lines."""

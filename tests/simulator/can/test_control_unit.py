@@ -1,7 +1,6 @@
 """The simulated control unit: services, frames, forces, exact vectors of its bursts."""
 
 import struct
-from binascii import crc_hqx
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -20,7 +19,6 @@ from simulator.can.control_unit import (
 from simulator.can.faults import ControlUnitFaults
 from simulator.can.messages import BurstFormat
 from simulator.can.scanner import PadForces
-from simulator.errors import SimulatorStateError
 from tactile.control_unit import object_dictionary as od
 from tactile.frames.force_message import decode_force_message, encode_zero, force_table
 from tactile.frames.transport import FrameAssembler, FrameFormat
@@ -272,12 +270,6 @@ def test_the_mapping_can_be_written_again(line) -> None:
     assert len(line.tell(SYNC)) == 59
 
 
-def test_a_unit_that_is_on_no_bus_says_so() -> None:
-    unit = SimulatedControlUnit(Skin(paper_layout()), paper_layout())
-    with pytest.raises(SimulatorStateError, match="not connected"):
-        unit.advance(1.0)
-
-
 PAPER = BurstFormat(n_taxels=408, sample_bytes=1)
 RAMP = np.arange(408) & 0xFF
 
@@ -293,25 +285,6 @@ RAMP = np.arange(408) & 0xFF
 )
 def test_last_message_vectors(counts: np.ndarray, counter: int, status: int, last: str) -> None:
     assert PAPER.burst(counts, counter, status)[58] == bytes.fromhex(last)
-
-
-def test_pinch_layout_sends_16_bit_little_endian_and_zero_padding() -> None:
-    pinch = BurstFormat(n_taxels=156, sample_bytes=2)
-    counts = np.full(156, 0x0ABC)
-    messages = pinch.burst(counts, 2, 0)
-    assert messages[0] == bytes.fromhex("80 BC 0A BC 0A BC 0A BC")
-    # 312 sample bytes + 5 of padding + 5 of trailer = 46 x 7
-    payload = b"".join(message[1:] for message in messages)
-    assert payload[312:317] == bytes(5)
-    assert payload[317:320] == bytes.fromhex("02 00 00")
-    assert int.from_bytes(payload[320:], "little") == crc_hqx(payload[:320], 0xFFFF)
-
-
-def test_long_header_is_phase_and_index_high_then_low() -> None:
-    long = BurstFormat(n_taxels=2000, sample_bytes=1)
-    messages = long.burst(np.arange(2000) % 251, 3, 0)
-    assert messages[0][:2] == bytes([0xC0, 0x00])
-    assert messages[300][:2] == bytes([0xC1, 0x2C])
 
 
 LAYOUTS = [

@@ -61,7 +61,7 @@ def test_a_layout_of_another_size_is_refused(cell) -> None:
     ("fault", "named"),
     [
         ("board.unplugged=1", "the line of the board of finger 1 is gone"),
-        ("board.off=0", "the board of finger 0 has sent no new frame for"),
+        ("board.off=0", "the board of finger 0 has sent no new frame of 12 x 32 for"),
         ("board.frozen=1", "the board of finger 1 has sent no new frame .*: it repeats one frame"),
         ("board.rows=16", "its frames are 16x32: set tactile.sensor.profile"),
         ("board.lost_byte=0.5", "were damaged|no new frame"),
@@ -123,7 +123,7 @@ def test_a_board_that_is_not_there_or_sends_nothing(cell, source) -> None:
         source.start()
     injected.clear()
     cell.inject("board.off=1")
-    with pytest.raises(FrameTimeout, match="1 sent no frame of 12 x 32 within 3 s: it sends"):
+    with pytest.raises(FrameTimeout, match="1 sent no new frame of 12 x 32 within 3 s: it sends"):
         source.start()
 
 

@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from simulator.can.messages import BurstFormat, DamagedObject, force_bytes, read_table, read_zero
+from simulator.can.messages import BurstFormat, force_bytes, read_zero
 from tactile.errors import FrameError, LayoutError
 from tactile.frames.force_message import (
     BAD_TAXEL,
@@ -13,10 +13,8 @@ from tactile.frames.force_message import (
     crc8,
     decode_force_message,
     encode_zero,
-    force_table,
 )
 from tactile.frames.transport import PHASE_SHIFT, FrameAssembler, FrameFormat
-from tactile.layout import paper_layout
 from tactile.source import ForceMessage, ForceStatus, TactileFrame
 
 PAPER = FrameFormat(n_taxels=408, sample_bytes=1)
@@ -155,15 +153,6 @@ def test_the_zero_comes_back_and_names_the_taxels_that_fail() -> None:
     np.testing.assert_allclose(read_counts[~bad], zero_counts[~bad], atol=0.003)
     np.testing.assert_array_equal(read_bad, bad)
     assert int.from_bytes(data[6:8], "little") == BAD_TAXEL
-
-
-def test_a_damaged_object_is_refused() -> None:
-    data = bytearray(force_table(paper_layout(), np.zeros_like))
-    data[17] ^= 4
-    with pytest.raises(DamagedObject, match="CRC"):
-        read_table(bytes(data))
-    with pytest.raises(DamagedObject, match="where 12 were"):
-        read_zero(bytes(data), 4, 255)
 
 
 # -- The assembler: every kind of damage costs frames, none yields a torn one ----------------------

@@ -8,7 +8,7 @@ import pytest
 from tactile.errors import CalibrationError
 from tactile.layout import paper_layout
 from tactile.sensor.calibration import FoamCalibration, LinearCalibration, TableCalibration
-from tactile.sensor.filters import ActiveTaxels, Neighbourhood, fill_bad, smoothing_gain
+from tactile.sensor.filters import ActiveTaxels, Neighbourhood, fill_bad
 from tactile.sensor.sensor import TaxelForces
 from tactile.sensor.settings import SensorSettings
 from tactile.sensor.tare import compute_tare
@@ -27,11 +27,6 @@ def mask(*taxels: int) -> np.ndarray:
     result = np.zeros(N, dtype=bool)
     result[list(taxels)] = True
     return result
-
-
-def test_constants_stay_constant_up_to_the_border() -> None:
-    values = np.full(N, 7.0)
-    np.testing.assert_allclose(HOOD.mean(values), values)
 
 
 def test_spatial_mean_is_binomial_inside() -> None:
@@ -72,20 +67,6 @@ def test_regions_grow_through_allowed_taxels_only() -> None:
     region = HOOD.connected(seed, allowed)
     np.testing.assert_array_equal(region, mask(taxel(2, 0), taxel(3, 1), taxel(4, 2)))
     assert not HOOD.connected(mask(taxel(9, 0)), allowed).any()
-
-
-@pytest.mark.parametrize("passes", [1, 2])
-def test_smoothing_gain_is_what_noise_shrinks_by(passes: int) -> None:
-    rng = np.random.default_rng(4)
-    smooth = []
-    for _ in range(400):
-        values = rng.normal(size=N)
-        for _ in range(passes):
-            values = HOOD.mean(values)
-        smooth.append(values)
-    measured = np.std(smooth, axis=0) / smoothing_gain(HOOD, passes)
-    assert np.mean(measured) == pytest.approx(1.0, abs=0.01)
-    assert np.all(np.abs(measured - 1.0) < 0.2)
 
 
 @pytest.mark.parametrize(

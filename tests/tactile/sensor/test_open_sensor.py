@@ -59,14 +59,12 @@ def test_a_bus_that_was_opened_by_name_is_closed_with_the_block(sim, opened) -> 
     assert not is_open(sim.can_bus)
 
 
-def test_a_unit_that_is_not_there_leaves_no_bus_open(sim, opened) -> None:
+def test_a_sensor_that_cannot_start_leaves_no_bus_open(sim, opened) -> None:
     sim.inject("unit.off")
     with pytest.raises(NodeMissing), open_sensor("can0", pinch_layout()):
         pass
     assert not is_open(sim.can_bus)
-
-
-def test_a_calibration_of_another_sensor_leaves_no_bus_open(sim, opened) -> None:
+    sim.open_can_bus()
     with pytest.raises(CalibrationError, match="full scale of 4095 counts, layout paper has 255"):
         open_sensor("can0", paper_layout(), LinearCalibration(0.01, 4095))
     assert not is_open(sim.can_bus)
