@@ -1,6 +1,6 @@
 """Health of the servos: their settings, torque, hardware errors and bus watchdog."""
 
-from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.bus import ServoBus, protocol_1_text
 from gripper.dynamixel.control_table import (
     BUS_WATCHDOG,
     HARDWARE_ERROR_STATUS,
@@ -12,7 +12,6 @@ from gripper.dynamixel.control_table import (
     RegisterBlock,
 )
 from gripper.dynamixel.models import MODELS
-from gripper.dynamixel.transactions import protocol_1_text
 from gripper.errors import (
     AnswersOff,
     BusCorrupt,

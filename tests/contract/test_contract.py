@@ -49,7 +49,7 @@ from gripper.dynamixel.control_table import (
     RegisterBlock,
 )
 from gripper.dynamixel.models import MODELS, XM430_W350
-from gripper.dynamixel.serial_port import ByteStream
+from gripper.dynamixel.protocol2 import ByteStream
 from gripper.errors import BusTimeout, ServoRejected
 from motion import object_dictionary as motion_od
 from motion.axes import Axes, Watch
