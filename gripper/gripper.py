@@ -4,16 +4,16 @@ Only `Gripper.release` lets a part go. Faults, exceptions, `keep_grip` and `clos
 goals and torque.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from math import inf
 from typing import Self
 
 from gripper.clock import Clock
-from gripper.drives import DriveMeasurement, run_free
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_POSITION, STATUS_RETURN_LEVEL
+from gripper.dynamixel.drive import DriveCharacteristic, DriveReport
 from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.protocol2 import ByteStream
 from gripper.dynamixel.serial_port import open_line
@@ -33,11 +33,13 @@ from gripper.force.by_current import ForceByCurrent, assume_friction, cap_by_cur
 from gripper.force.control.grip_control import GripControl
 from gripper.force.estimates.free_motion import FreeMotion
 from gripper.force.grasp import GraspRun, GripStep, HoldStep
+from gripper.force.load_trial import LoadTrial
 from gripper.force.loop import LoopRunner, Running
 from gripper.force.ramp import ForceRamp, check_ramp, largest_ramp_n
 from gripper.force.timing import LoopStatistics
 from gripper.lifecycle import Lifecycle, bus_is_lost
-from gripper.mechanics.kinematics import Linkage, ParallelLinkage
+from gripper.mechanics.identification import fit_load
+from gripper.mechanics.kinematics import Linkage, ParallelLinkage, transmissions
 from gripper.servos.goal_limits import OPENING_MARGIN_RAD
 from gripper.servos.group import Servos
 from gripper.servos.watchdog_proof import prove_watchdog
@@ -45,10 +47,23 @@ from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSensor
 from gripper.values.outcome import GraspOutcome, GraspResult, ReleaseReport
 from gripper.values.servo_checks import ServoCondition, VerificationReport, VerificationRow
-from gripper.values.state import Cycle, GripperPhase, Observer, ServoFeedback
+from gripper.values.state import Cycle, GripperPhase, Observer, ServoFeedback, TimeSpan
 
 HOLD_AT_RATE_N_S = 20.0
 """Rate in N/s from a held force to the carry force: a host waits for the answer."""
+_CLEAR_M = 0.002
+"""Way in m after which nothing touches fingers that open. [chosen]"""
+
+_FREE_RAD_S = (0.15, 0.25, 0.4, 0.65)
+"""Speeds in rad/s at which friction is measured: slow enough for its part at rest, and far enough
+apart for the rest of it. [chosen]"""
+_FREE_S = 0.5
+"""Longest time in s of each of these motions. [tuned]"""
+_LOW_CONTACTS, _HIGH_SHARE, _LEAST_SPAN_N = 2.5, 0.9, 2.0
+"""Forces between which a drive is measured: the least in contact forces, the largest as a share of
+the held force, and the least difference of both in N. [chosen]"""
+_CURRENT_SHARE = 0.9
+"""Largest share of the current limit in this measurement. [chosen]"""
 
 
 class Gripper:
@@ -96,21 +111,11 @@ class Gripper:
         """Limits and tuning."""
         self._ids = [servo.servo_id for servo in settings.servos]
         self._servos = servos = Servos(bus, linkage, settings, clock)
-        self._health = servos.health
         self._sensor = force_sensor or ForceByCurrent(servos, linkage, settings)
         self._runner = runner = LoopRunner(servos, self._sensor, settings, clock)
         self._life = Lifecycle(servos, runner, settings)
         self._free = FreeMotion(settings)
         self._grasping = GraspRun(runner, linkage, settings, self._life.set_phase, self._free)
-        self.drives = DriveMeasurement(
-            runner,
-            self._life,
-            self._free,
-            self._grasping,
-            linkage=linkage,
-            make_ready=self._make_ready,
-        )
-        """Measures the drives of the servos."""
         self._link_checked = self._watchdog_proven = False
         self._carried: Running | None = None
         self._one: Gripper | None = None
@@ -163,9 +168,9 @@ class Gripper:
             While a fault is latched or a command runs.
         """
         self._life.check_ready("start")
-        self._health.require_present()
+        self._servos.require_present()
         if STATUS_RETURN_LEVEL.name in self.settings.corrected_registers:
-            self._health.demand_answers()
+            self.bus.demand_answers(self._ids)
         for servo_id, seen in self._servos.feedback.check.strayed.items():
             raise FeedbackImplausible(
                 f"servo {servo_id}: {seen}, and it was not restarted since then: the position of "
@@ -173,27 +178,24 @@ class Gripper:
                 f"then clear the fault with a reboot"
             )
         held_before = self._life.phase is not GripperPhase.IDLE
-        if not self._health.torque_on():
+        if not any(self._servos.torques()):
             self._life.switched_off()
-            report = self._health.verify(correct=True, refuse=True)
+            report = self._servos.verify(correct=True, refuse=True)
             _check_standing(self._standing_rows())
         else:
             if held_before:
                 self._life.torque_from_before()
-            report = self._health.verify(correct=False, refuse=not held_before)
+            report = self._servos.verify(correct=False, refuse=not held_before)
         self._check_link(self._ids)
         return report
 
     def conditions(self) -> tuple[ServoCondition, ...]:
         """Read torque and errors of each servo, also after the failure of another; reads only."""
-        return tuple(
-            replace(one, strayed=self._servos.feedback.check.strayed.get(one.servo_id, ""))
-            for one in self._health.conditions()
-        )
+        return self._servos.conditions()
 
     def inspect(self) -> VerificationReport:
         """Compare the servos and their positions with the settings; reads only."""
-        report = self._health.verify(correct=False)
+        report = self._servos.verify(correct=False)
         return replace(report, rows=report.rows + self._standing_rows())
 
     def read_feedback(self) -> ServoFeedback:
@@ -227,7 +229,7 @@ class Gripper:
                 state = self._runner.read()
             if state is None:
                 return None
-            self._health.poll(state, watchdog=self._life.part_possible)
+            self._servos.poll(state, watchdog=self._life.part_possible)
         except BaseException as error:
             self._life.latch(error)
             raise
@@ -303,12 +305,7 @@ class Gripper:
         ForceSensorStale, GraspStopped, ServoFault, BusTimeout, BusCorrupt
             With the grip kept.
         """
-        self._check_grasp(ramp)
-        with self._life.command("grasp", observer):
-            self._make_ready()
-            self._life.part_possible = True
-            outcome = self._grasping.run(ramp)
-        return self._keep(outcome)
+        return self._close(self._grasping.run, ramp, observer)
 
     def press_pads_together(
         self, ramp: ForceRamp, observer: Observer | None = None
@@ -328,12 +325,7 @@ class Gripper:
         LimitExceeded, ForceSensorStale, GraspStopped, ServoFault, BusTimeout, BusCorrupt
             As `grasp`.
         """
-        self._check_grasp(ramp)
-        with self._life.command("grasp", observer):
-            self._make_ready()
-            self._life.part_possible = True
-            outcome = self._grasping.press_pads_together(ramp)
-        return self._keep(outcome)
+        return self._close(self._grasping.press_pads_together, ramp, observer)
 
     def hold(self, duration_s: float, observer: Observer | None = None) -> ServoFeedback:
         """Control the force at its last set-point for a time in s.
@@ -410,6 +402,86 @@ class Gripper:
             self._make_ready()
             return self._grasping.squeeze(control, ramp)
 
+    def read_drives(self) -> DriveReport:
+        """Return the newest drive characteristic of each servo, and notes about unusual values."""
+        free, servos = self._free, self._servos
+        notes, free.notes = free.notes, []
+        warnings, servos.notes = servos.notes, []
+        return DriveReport(self.settings.drives.newest, (*notes, *warnings))
+
+    def use_drives(self, drives: Mapping[int, DriveCharacteristic]) -> None:
+        """Use saved drive characteristics, by the servos' IDs."""
+        for servo_id, drive in drives.items():
+            self.settings.drives.put(servo_id, drive)
+        self._free.forget()
+
+    def measure_load(self, observer: Observer | None = None) -> tuple[TimeSpan, ...]:
+        """Measure the current of each servo under load, while the empty pads press on each other.
+
+        Friction locks one finger while the other one moves slowly, then vice versa: the force rises
+        and falls. Call it after `Gripper.press_pads_together` with nothing between the pads; they
+        still press afterwards. If the current, or the held force, leaves too small a range, the
+        drives do not change. Not for a gripper with one servo.
+
+        Returns
+        -------
+        When each finger moved alone; empty if the drives did not change.
+
+        Raises
+        ------
+        As `Gripper.hold`.
+        """
+        settings, linkage = self.settings, self._linkage
+        control = self._held_control("hold")
+        with self._life.command("hold", observer):
+            self._make_ready()
+            low_n = _LOW_CONTACTS * settings.contact_force_n
+            state = self._servos.read_patiently()
+            paths = transmissions(settings, linkage, state.angles_rad)
+            most_a = _CURRENT_SHARE * settings.current_max_a
+            bearable_n = min(path.force_band_n(most_a)[0] for path in paths)
+            high_n = min(_HIGH_SHARE * control.grip.setpoint_n, bearable_n)
+            if high_n - low_n < _LEAST_SPAN_N or len(paths) < 2:
+                return ()
+            spans = []
+            try:
+                for finger, servo in enumerate(settings.servos):
+                    trial = LoadTrial(control, linkage, finger, (low_n, high_n))
+                    since_s = state.t_s
+                    for rises in (False, True):
+                        trial.start(rises=rises)
+                        state = self._runner.run(trial.step)
+                    spans.append(TimeSpan(since_s, state.t_s))
+                    before = settings.drives.of(servo.servo_id, servo.drive)
+                    drive = fit_load(trial.rising, trial.falling, before)
+                    settings.drives.put(servo.servo_id, drive)
+            finally:
+                control.begin_again(state)
+            self._free.compare()
+            return tuple(spans)
+
+    def measure_friction(self, observer: Observer | None = None) -> None:
+        """Measure the friction of each servo at several speeds; the empty fingers end open.
+
+        They close to a gap without a check of the pads: nothing may be between them.
+        """
+        settings, linkage = self.settings, self._linkage
+        wide_m = settings.aperture_open_m
+        near_m = max(settings.aperture_min_m, 0.0) + _CLEAR_M
+        self._life.check_ready("open")
+        with self._life.command("open", observer):
+            self._make_ready()
+            for speed_rad_s in _FREE_RAD_S:
+                for closes in (True, False):
+                    state = self._servos.read_patiently()
+                    reach_m = sum(map(linkage.opening_per_rad_m, state.angles_rad))
+                    speed_m_s = speed_rad_s * reach_m
+                    end_m = max(near_m, wide_m - _FREE_S * speed_m_s) if closes else wide_m
+                    move = MoveTo(settings, linkage, state, aperture_m=end_m, speed_m_s=speed_m_s)
+                    self._run_free(move, state)
+            # The back-EMF is known now.
+            self._free.compare()
+
     def release(self, observer: Observer | None = None) -> ReleaseReport:
         """Let go: open to aperture_open_m. The only command that lets a part go.
 
@@ -431,7 +503,7 @@ class Gripper:
         self._life.check_ready("release")
         self._carried = None
         if not self._servos.goals_in_force:
-            self._health.demand_answers()
+            self.bus.demand_answers(self._ids)
             left = self._not_able()
             if left:
                 return self._open_one(left[0], observer)
@@ -445,7 +517,7 @@ class Gripper:
                 state = self._move_to(self.settings.aperture_open_m, only_open=True, first=was_limp)
             finally:
                 self._servos.feedback.check.letting_go = False
-                self._health.end_release()
+                self._servos.end_release()
             self._life.part_possible = False
         return ReleaseReport(state=state, opened=tuple(self._ids), wider=wider)
 
@@ -507,29 +579,24 @@ class Gripper:
         """
         if self._life.running:
             raise GripperStateError("clear_fault is not possible while a command runs")
-        self._health.demand_answers()
+        self.bus.demand_answers(self._ids)
         conditions = self.conditions()
         if not any(condition.answers for condition in conditions):
             # Reading again raises the fault of the bus.
-            self._health.torque_on()
-        faulty = [condition for condition in conditions if condition.error_bits]
-        if faulty and not reboot:
-            raise ServoFault(
-                faulty[0].servo_id,
-                faulty[0].error_bits,
-                "the error lasts: remedy its cause, then clear it with a reboot",
-            )
+            self._servos.torques()
         restart = [one.servo_id for one in conditions if one.error_bits or one.strayed]
         if restart and reboot:
             self._servos.reboot(restart)
             conditions = self.conditions()
-            for condition in conditions:
-                if condition.error_bits:
-                    raise ServoFault(
-                        condition.servo_id,
-                        condition.error_bits,
-                        "the error lasts after a reboot: remedy its cause, then clear it again",
-                    )
+        for condition in conditions:
+            if condition.error_bits:
+                raise ServoFault(
+                    condition.servo_id,
+                    condition.error_bits,
+                    "the error lasts after a reboot: remedy its cause, then clear it again"
+                    if reboot
+                    else "the error lasts: remedy its cause, then clear it with a reboot",
+                )
         self._free.distrust()
         self._life.fault = None
         self._life.motion_unconfirmed = False
@@ -566,8 +633,13 @@ class Gripper:
         if self._life.phase is GripperPhase.IDLE and self._life.fault is None:
             self._life.phase = GripperPhase.OFF
 
-    def _check_grasp(self, ramp: ForceRamp) -> None:
-        """Raise where a grasp is not possible now, or not with this ramp."""
+    def _close(
+        self,
+        run: Callable[[ForceRamp], GraspOutcome],
+        ramp: ForceRamp,
+        observer: Observer | None,
+    ) -> GraspOutcome:
+        """Close and follow a ramp as `grasp`, and keep what is held."""
         self._life.check_ready("grasp")
         if self.settings.watchdog_self_test and not self._watchdog_proven:
             raise GripperStateError(
@@ -575,9 +647,10 @@ class Gripper:
                 "open the gripper, the test follows"
             )
         self.check_ramp(ramp)
-
-    def _keep(self, outcome: GraspOutcome) -> GraspOutcome:
-        """Keep what is held after a grasp, and return its outcome."""
+        with self._life.command("grasp", observer):
+            self._make_ready()
+            self._life.part_possible = True
+            outcome = run(ramp)
         held = outcome.result in (GraspResult.FORCE_REACHED, GraspResult.FORCE_NOT_REACHED)
         self._life.part_possible = self._life.controlled = held
         self._life.phase = GripperPhase.HOLDING if held else GripperPhase.IDLE
@@ -611,7 +684,7 @@ class Gripper:
     def _make_ready(self, *, releasing: bool = False) -> bool:
         """Prepare the servos for a command; return whether all of them were without torque."""
         limp: ServoFeedback | None = None
-        if not self._servos.goals_in_force and not self._health.torque_on():
+        if not self._servos.goals_in_force and not any(self._servos.torques()):
             limp = self._servos.read_patiently()
             positions_raw = [servo.position_raw for servo in limp.servos]
             _check_standing(standing_rows(self.settings, self._linkage, positions_raw))
@@ -628,7 +701,16 @@ class Gripper:
         kind = FirstMotion if first else MoveTo
         state = self._servos.read_patiently()
         move = kind(self.settings, self._linkage, state, aperture_m=aperture_m, only_open=only_open)
-        return run_free(self._free, self._runner, move, state)
+        return self._run_free(move, state)
+
+    def _run_free(self, move: FirstMotion | MoveTo, state: ServoFeedback) -> ServoFeedback:
+        """Run a motion of empty fingers from a state, and measure their friction."""
+
+        def is_free(now: ServoFeedback) -> bool:
+            # A part that is let go, and foam, push the fingers open at first.
+            return abs(now.aperture_m - state.aperture_m) >= _CLEAR_M
+
+        return self._free.run(self._runner, move.step, is_free, needs_force=False)
 
     def _open_one(self, left: ServoCondition, observer: Observer | None) -> ReleaseReport:
         """Open one finger alone; do not touch the servo of the other one."""
@@ -657,7 +739,7 @@ class Gripper:
         """Return the servos that cannot be moved; raises if no servo can be moved."""
         conditions = self.conditions()
         if not any(condition.answers for condition in conditions):
-            self._health.require_present()
+            self._servos.require_present()
             raise BusTimeout(
                 "the servos answer only sometimes, and nothing was moved: check cable and "
                 "supply, then release again"

@@ -316,7 +316,14 @@ class Axes:
         for axis in moving:
             with suppress(MotionError):
                 axis.stop()
-        self._watch.supervise = _undisturbed(self._watch.supervise)
+        supervise = self._watch.supervise
+
+        def undisturbed() -> None:
+            # The stop of the axes has priority; the earlier error ends the motion.
+            with suppress(Exception):
+                supervise()
+
+        self._watch.supervise = undisturbed
         braking_s = max(axis.settings.velocity / axis.settings.acceleration for axis in moving)
         end_s = self._watch.clock.monotonic() + braking_s + _STOP_S
         while moving and self._watch.clock.monotonic() < end_s:
@@ -332,14 +339,3 @@ def _stands(axis: Axis) -> bool:
         return axis.standing()
     except MotionError:
         return False
-
-
-def _undisturbed(supervise: Callable[[], None]) -> Callable[[], None]:
-    """Return a supervision for the stop of axes, without its errors."""
-
-    def guarded() -> None:
-        # The stop of the axes has priority; the earlier error ends the motion.
-        with suppress(Exception):
-            supervise()
-
-    return guarded

@@ -51,10 +51,6 @@ _STILL_SHARE = 0.01
 """Largest speed of a standing drive as a share of its profile velocity: encoders have noise."""
 _ZERO_SPEED_SHARE = 5
 """Speed of the search for a switch over the speed away from it."""
-_ANSWER_REMEDY = (
-    "the drive is another one than CiA 402 describes, or somebody else sends with its node-ID. "
-    "Check drive, firmware and node-IDs"
-)
 _QUICK_STOP_REQUEST = struct.pack("<BHBHH", 0x2B, 0x6040, 0, State402.CW_QUICK_STOP, 0)
 """SDO request that writes a controlword of two bytes (CiA 301, 7.2.4.3.3)."""
 
@@ -499,7 +495,8 @@ class Cia402Drive(Axis):
                 raise errors.AxisSilent(str(error)) from error
             raise errors.AxisAnswerWrong(
                 f"{self.label} answers wrongly ({self._client.label(name)}; {error.__cause__}): "
-                f"{_ANSWER_REMEDY}"
+                "the drive is another one than CiA 402 describes, or somebody else sends with its "
+                "node-ID. Check drive, firmware and node-IDs"
             ) from error
 
     def _on_heartbeat(self, _cob_id: int, data: bytearray, _time_s: float) -> None:

@@ -262,10 +262,10 @@ class Rig:
         self.gripper.start()
         self.gripper.open()
         self.gripper.press_pads_together(ForceRamp.linear(_PADS_N, _PADS_N_S))
-        self.gripper.drives.measure_load()
+        self.gripper.measure_load()
         self.gripper.release()
-        self.gripper.drives.measure_friction()
-        return dict(self.gripper.drives.read().drives)
+        self.gripper.measure_friction()
+        return dict(self.gripper.read_drives().drives)
 
     def grasp(
         self,
@@ -285,7 +285,7 @@ class Rig:
         with suppress(GripperError):
             self.gripper.start()
             if drives is not None:
-                self.gripper.drives.use(drives)
+                self.gripper.use_drives(drives)
             outcome = self.gripper.grasp(ForceRamp.linear(final_n, rate_n_s), observe)
             if outcome.result is not GraspResult.PART_LOST and outcome.contact_t_s is not None:
                 self.gripper.hold(_HOLD_S, observe)

@@ -30,7 +30,7 @@ from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.models import MODELS, ServoModel, model_name
 from gripper.dynamixel.protocol2 import HIGHEST_ID
 from gripper.errors import ServoRejected
-from gripper.servos.verification import Requirement, compare, requirements
+from gripper.servos.verification import Requirement, requirements
 from gripper.values.servo_checks import hardware_error_names, overload_text
 
 _USUAL_RATES = (57600, 1_000_000)
@@ -336,8 +336,8 @@ def _set_up(
         for name, (_, after) in changes[servo_id].items():
             bus.write(servo_id, REGISTERS[name], after)
         values = {name: bus.read(servo_id, REGISTERS[name]) for name in table}
-        required = _required(models[servo_id], bench)
-        for row in compare(servo_id, required, values, frozenset(changes[servo_id])):
+        for required in _required(models[servo_id], bench):
+            row = required.row(servo_id, values[required.item])
             if not row.ok:
                 notes.fail(f"{row}, after it was written")
     notes.fact(f"{len(writes)} registers set and read back")

@@ -95,7 +95,7 @@ class LocalHand:
         self.latest = LatestValues()
         self._lines = lines
         self.start = gripper.start
-        self.read_drives, self.use_drives = gripper.drives.read, gripper.drives.use
+        self.read_drives, self.use_drives = gripper.read_drives, gripper.use_drives
         self.conditions = gripper.conditions
         self.inspect = gripper.inspect
         self.check_ramp = gripper.check_ramp
@@ -151,11 +151,11 @@ class LocalHand:
     def measure_load(self, watch: OnPeriod) -> tuple[TimeSpan, ...]:
         """Measure the servos' currents for their load; see `Hand`."""
         self._force.take()
-        return self.gripper.drives.measure_load(self._observer(watch))
+        return self.gripper.measure_load(self._observer(watch))
 
     def measure_friction(self, watch: OnPeriod) -> None:
         """Measure the servos' friction; see `Hand`."""
-        self.gripper.drives.measure_friction(self._observer(watch))
+        self.gripper.measure_friction(self._observer(watch))
 
     def hold_at(self, force_n: float, duration_s: float, watch: OnPeriod) -> None:
         """Hold the part with another force; see `Hand`."""

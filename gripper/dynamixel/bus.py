@@ -259,18 +259,6 @@ class ServoBus:
         """Read the identity of a servo; raises BusTimeout if no servo has this ID."""
         return self._identity(self._ask(_ping_request(servo_id)))
 
-    def scan(self, ids: Sequence[int] = range(HIGHEST_ID + 1)) -> tuple[ServoIdentity, ...]:
-        """Ping each ID once, with short time-outs, and return the servos; for diagnosis."""
-        answers = []
-        with self.exclusive():
-            for servo_id in ids:
-                with suppress(NoAnswerError):
-                    status = self._exchange(_ping_request(servo_id))
-                    if status.error == 0:  # a refusal has no identity
-                        answers.append(self._identity(status))
-            self._mark_suspect()
-        return tuple(answers)
-
     def scan_at_once(self) -> tuple[tuple[ServoIdentity, ...], bool]:
         """Ping all IDs with one broadcast; return the servos, and whether damaged bytes came.
 

@@ -7,8 +7,9 @@ has Acceleration Limit and External Port Mode, only the 330 size has PWM Slope.
 """
 
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from types import MappingProxyType
 
@@ -30,7 +31,7 @@ BAUD_CODES: Mapping[int, int] = MappingProxyType({r: code for code, r in enumera
 """Baud rate in bit/s -> content of Baud Rate (register 8). The 330 size ends at 4 Mbit/s."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Register:
     """One item of the control table."""
 
@@ -82,17 +83,9 @@ class Register:
         return int.from_bytes(data, "little", signed=self.signed)
 
 
-def _eeprom(name: str, address: int, size: int, **rest: object) -> Register:
-    return Register(name=name, address=address, size=size, eeprom=True, **rest)  # type: ignore[arg-type]
-
-
-def _ram(name: str, address: int, size: int, **rest: object) -> Register:
-    return Register(name=name, address=address, size=size, **rest)  # type: ignore[arg-type]
-
-
-def _read_only(name: str, address: int, size: int, **rest: object) -> Register:
-    return Register(name=name, address=address, size=size, writable=False, **rest)  # type: ignore[arg-type]
-
+_eeprom = partial(Register, eeprom=True)
+_ram = Register
+_read_only = partial(Register, writable=False)
 
 MODEL_NUMBER = _read_only("model_number", 0, 2)
 MODEL_INFORMATION = _read_only("model_information", 2, 4)
@@ -155,12 +148,9 @@ PRESENT_TEMPERATURE = _read_only("present_temperature", 146, 1)
 BACKUP_READY = _read_only("backup_ready", 147, 1)
 
 
-def _table(registers: Iterable[object]) -> Mapping[str, Register]:
-    items = [item for item in registers if isinstance(item, Register)]
-    return MappingProxyType({r.name: r for r in sorted(items, key=lambda r: r.address)})
-
-
-REGISTERS: Mapping[str, Register] = _table(tuple(globals().values()))
+REGISTERS: Mapping[str, Register] = MappingProxyType(
+    {one.name: one for one in tuple(globals().values()) if isinstance(one, Register)}
+)
 """All items by name, in the order of their addresses."""
 
 

@@ -306,7 +306,7 @@ class LoopRunner:
         if self._cycles % _HEALTH_EVERY == 0 or any(servo.alert for servo in state.servos):
             try:
                 with self.servos.in_loop():
-                    self.servos.health.poll(state)
+                    self.servos.poll(state)
             except (BusTimeout, BusCorrupt):
                 # The feedback soon shows whether the bus is lost.
                 self._timer.missed_reads += 1

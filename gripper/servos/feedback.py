@@ -1,5 +1,7 @@
 """Feedback of the servos of one gripper in SI units, checked to be new and possible."""
 
+from collections.abc import Callable
+from math import inf
 from typing import NamedTuple
 
 from gripper.clock import Clock
@@ -16,7 +18,6 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.errors import BusCorrupt
 from gripper.mechanics.kinematics import Linkage, transmissions
-from gripper.servos.health import ServoHealth
 from gripper.servos.motion import ServoMotion
 from gripper.servos.plausibility import FeedbackCheck
 from gripper.servos.winding import Supply, WindingHeat, winding_a
@@ -49,8 +50,8 @@ class Feedback:
 
     Parameters
     ----------
-    health
-        Checks the torque where a servo seems to have restarted.
+    check_torque
+        Called with the ID of a servo that seems to have restarted; raises if it has no torque.
     """
 
     def __init__(
@@ -59,7 +60,7 @@ class Feedback:
         linkage: Linkage,
         settings: GripperSettings,
         clock: Clock,
-        health: ServoHealth,
+        check_torque: Callable[[int], None],
     ) -> None:
         self.last: ServoFeedback | None = None
         """The last feedback; None before the first reading."""
@@ -67,10 +68,10 @@ class Feedback:
         self._linkage = linkage
         self._settings = settings
         self._clock = clock
-        self._health = health
+        self._check_torque = check_torque
         self._ids = [servo.servo_id for servo in settings.servos]
         self._turns: dict[int, int] = {}
-        self._ticks = TickWatch()
+        self._ticks = {servo_id: TickClock(servo_id) for servo_id in self._ids}
         self._heats = {one.servo_id: WindingHeat(one.servo_model) for one in settings.servos}
         self._supplies = {one.servo_id: Supply() for one in settings.servos}
         self._motions = {one.servo_id: ServoMotion(one.servo_model) for one in settings.servos}
@@ -100,12 +101,12 @@ class Feedback:
         raws = self._bus.sync_read(self._ids, PRESENT_BLOCK)
         now_s = self._clock.monotonic()
         for servo_id, raw in raws.items():
-            problem = self._ticks.check(servo_id, raw[REALTIME_TICK.name], sent_s, now_s)
+            problem = self._ticks[servo_id].check(raw[REALTIME_TICK.name], sent_s, now_s)
             if problem is not None:
                 try:
                     # An old answer has another length, so it cannot pass for this one.
                     if under_torque:
-                        self._health.check_torque(servo_id)
+                        self._check_torque(servo_id)
                 finally:
                     self._bus.expect_late_answer()
                 raise problem
@@ -125,9 +126,9 @@ class Feedback:
     def forget(self) -> None:
         """Compare the next feedback with no earlier one: servos were restarted or switched off."""
         self._turns.clear()
-        self._ticks.forget()
-        for motion in self._motions.values():
-            motion.forget()
+        for servo_id in self._ids:
+            self._ticks[servo_id].forget()
+            self._motions[servo_id].forget()
         self.check.forget()
 
     def _servo_state(
@@ -188,23 +189,36 @@ class Feedback:
         )
 
 
-class TickWatch:
-    """Comparison of each servo's tick (register 120) with the host's clock.
+class TickClock:
+    """Latest possible time of a servo's tick (register 120) on the host's clock.
 
-    An answer made before its request is an old answer. A tick that has jumped shows that the servo
-    has restarted.
+    An answer that was made before its request is an old answer. A tick that has jumped shows that
+    the servo has restarted.
+
+    An answer is made before it is received. The least difference between host and tick so far,
+    continued at the largest possible rate, bounds the age of each later answer. At first the
+    tolerance of a servo's clock bounds the rate, later the ticks of the last seconds. This follows
+    a drift. While answers are refused as old, the most likely rate is used, so a lasting lag is
+    never accepted.
     """
 
-    def __init__(self) -> None:
-        self._clocks: dict[int, TickClock] = {}
+    def __init__(self, servo_id: int) -> None:
+        self._servo_id = servo_id
+        self.forget()
 
     def forget(self) -> None:
-        """Compare the next tick with no earlier one, after servos were restarted on purpose."""
-        self._clocks.clear()
+        """Compare the next tick with no earlier one, after the servo was restarted on purpose."""
+        self._begin(0, -inf, -inf)
 
-    def check(
-        self, servo_id: int, tick_ms: int, sent_s: float, received_s: float
-    ) -> BusCorrupt | None:
+    def _begin(self, tick_ms: int, sent_s: float, received_s: float) -> None:
+        self._sent_s = sent_s
+        self._tick_ms, self._tick_s = tick_ms, 0.0
+        self._latest_s = received_s
+        self._rate = _LARGEST_RATE
+        self._refused = False
+        self._mark = self._next_mark = TickMark(0.0, sent_s, received_s)
+
+    def check(self, tick_ms: int, sent_s: float, received_s: float) -> BusCorrupt | None:
         """Return the problem of an answer, None when it is new.
 
         Parameters
@@ -214,86 +228,33 @@ class TickWatch:
         sent_s, received_s
             Host's time before the request and after the answer in s.
         """
-        clock = self._clocks.get(servo_id)
-        if clock is None or received_s - clock.sent_s > _TICK_LONGEST_S:
-            self._clocks[servo_id] = TickClock(tick_ms, sent_s, received_s)
+        most_s = received_s - self._sent_s
+        if most_s > _TICK_LONGEST_S:
+            self._begin(tick_ms, sent_s, received_s)
             return None
-        passed_s = clock.passed_s(tick_ms)
-        most_s = received_s - clock.sent_s
+        passed_s = ((tick_ms - self._tick_ms) % TICK_MODULO) * _TICK_S
+        # A tick slightly back is a lag, not a turn of the modulo. One far back is a restart.
+        if passed_s > TICK_MODULO * _TICK_S - _TICK_LATEST_S:
+            passed_s -= TICK_MODULO * _TICK_S
         if passed_s > most_s * (1.0 + _TICK_RATE_ERROR) + _TICK_LEAD_S:
-            self._clocks[servo_id] = TickClock(tick_ms, sent_s, received_s)
+            self._begin(tick_ms, sent_s, received_s)
             return BusCorrupt(
-                f"the tick of servo {servo_id} moved by {passed_s * 1e3:.0f} ms while at most "
-                f"{most_s * 1e3:.0f} ms passed: the servo has restarted"
+                f"the tick of servo {self._servo_id} moved by {passed_s * 1e3:.0f} ms while at "
+                f"most {most_s * 1e3:.0f} ms passed: the servo has restarted"
             )
-        old_s = sent_s - clock.latest_s(passed_s)
-        if old_s > _TICK_LAG_S:
-            clock.refuse(tick_ms, passed_s)
+        self._latest_s += passed_s * self._largest_rate(passed_s)
+        self._tick_ms = tick_ms
+        self._tick_s += passed_s
+        old_s = sent_s - self._latest_s
+        self._refused = old_s > _TICK_LAG_S
+        if self._refused:
             return BusCorrupt(
-                f"an old answer of servo {servo_id}: by its tick it is at least "
+                f"an old answer of servo {self._servo_id}: by its tick it is at least "
                 f"{old_s * 1e3:.0f} ms older than the request; something on the line delays or "
                 f"repeats answers"
             )
-        clock.add(tick_ms, passed_s, sent_s, received_s)
-        return None
-
-
-class TickClock:
-    """Latest possible time of a servo's tick on the host's clock, from its answers so far.
-
-    An answer is made before it is received. The least difference between host and tick so far,
-    continued at the largest possible rate, bounds the age of each later answer. At first the
-    tolerance of a servo's clock bounds the rate, later the ticks of the last seconds. This follows
-    a drift. While answers are refused as old, the most likely rate is used, so a lasting lag is
-    never accepted.
-
-    Parameters
-    ----------
-    tick_ms
-        First tick in ms, modulo 32768.
-    sent_s, received_s
-        Host's time before its request and after the answer in s.
-    """
-
-    def __init__(self, tick_ms: int, sent_s: float, received_s: float) -> None:
-        self.sent_s = sent_s
-        """Host's time before the last request with a timely answer."""
-        self._tick = tick_ms
-        self._tick_s = 0.0
-        self._latest_s = received_s
-        self._rate = _LARGEST_RATE
-        self._refused = False
-        self._mark = self._next_mark = TickMark(0.0, sent_s, received_s)
-
-    def passed_s(self, tick_ms: int) -> float:
-        """Return the progress of the tick since the last answer in s; negative if it went back."""
-        passed_s = ((tick_ms - self._tick) % TICK_MODULO) * _TICK_S
-        # A tick slightly back is a lag, not a turn of the modulo. One far back is a restart.
-        back = passed_s > TICK_MODULO * _TICK_S - _TICK_LATEST_S
-        return passed_s - TICK_MODULO * _TICK_S if back else passed_s
-
-    def latest_s(self, passed_s: float) -> float:
-        """Return the latest host's time of a tick in s, by its progress since the last answer."""
-        rate = self._rate
-        if passed_s > _TICK_PAUSE_S:
-            # After a pause the bound need not be sharp.
-            return self._latest_s + passed_s * _LARGEST_RATE
-        if self._refused:
-            rate = self._mark.rate(self._tick_s, self._latest_s - self._mark.latest_s + _TICK_S)
-        return self._latest_s + passed_s * min(rate, self._rate)
-
-    def refuse(self, tick_ms: int, passed_s: float) -> None:
-        """Note an old answer: the bound of its tick continues at the likely rate."""
-        self._latest_s = self.latest_s(passed_s)
-        self._go_on(tick_ms, passed_s)
-        self._refused = True
-
-    def add(self, tick_ms: int, passed_s: float, sent_s: float, received_s: float) -> None:
-        """Add an answer that is new."""
-        self._latest_s = min(self.latest_s(passed_s), received_s)
-        self._go_on(tick_ms, passed_s)
-        self._refused = False
-        self.sent_s = sent_s
+        self._latest_s = min(self._latest_s, received_s)
+        self._sent_s = sent_s
         if self._tick_s - self._next_mark.tick_s >= _TICK_RATE_TIME_S:
             self._mark = self._next_mark
             self._next_mark = TickMark(self._tick_s, sent_s, self._latest_s)
@@ -301,10 +262,17 @@ class TickClock:
         # Both ends may be off by the allowed age of an answer.
         host_s = received_s - self._mark.sent_s + 2.0 * _TICK_LAG_S
         self._rate = min(self._rate, self._mark.rate(self._tick_s, host_s))
+        return None
 
-    def _go_on(self, tick_ms: int, passed_s: float) -> None:
-        self._tick = tick_ms
-        self._tick_s += passed_s
+    def _largest_rate(self, passed_s: float) -> float:
+        """Return the largest rate since the last answer, by the progress of the tick in s."""
+        if passed_s > _TICK_PAUSE_S:
+            # After a pause the bound need not be sharp.
+            return _LARGEST_RATE
+        if not self._refused:
+            return self._rate
+        likely = self._mark.rate(self._tick_s, self._latest_s - self._mark.latest_s + _TICK_S)
+        return min(likely, self._rate)
 
 
 class TickMark(NamedTuple):

@@ -201,7 +201,10 @@ class GoalGuard:
             angle_rad = goal.angle_rad if drive_n > 0.0 else state.angle_rad
             return replace(goal, angle_rad=angle_rad, current_a=current_a)
         free = empty and goal.profile_rad_s == 0.0
-        ahead_rad = lead_rad(model, most_a, fastest_rad_s) if free else inf
+        ahead_rad = inf
+        if free:
+            ahead_rad = closing_margin_rad(model, most_a)
+            ahead_rad += running_lead_rad(model, 0.0, fastest_rad_s)
         angle_rad = max(goal.angle_rad, state.angle_rad - ahead_rad)
         return replace(goal, angle_rad=angle_rad, current_a=most_a)
 
@@ -368,11 +371,6 @@ def closing_margin_rad(model: ServoModel, current_a: float) -> float:
     return _MOTION_RESERVE * at_rest_rad + _MOTION_PULSES * model.rad_per_pulse
 
 
-def lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) -> float:
-    """Return the largest necessary lead of a goal in rad for a current and a speed."""
-    return closing_margin_rad(model, current_a) + running_lead_rad(model, 0.0, speed_rad_s)
-
-
 def running_lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) -> float:
     """Return the lead of the goal in rad of a servo that runs steadily with a current.
 
@@ -441,7 +439,6 @@ class GoalWriter:
             side = copysign(1.0, goal.angle_rad - servo.angle_rad)
             against_rad_s = max(0.0, -side * servo.velocity_rad_s)
             goal_current = model.current_raw(goal.current_a, servo.supply_v, against_rad_s)
-            profile_acceleration = 0
             least_raw, most_raw = model.goal_range_raw
             if not least_raw <= servo.position_raw <= most_raw:
                 raise LimitExceeded(
@@ -455,7 +452,7 @@ class GoalWriter:
             values[servo.servo_id] = [
                 min(goal_current, model.current_limit_raw),
                 model.goal_velocity_raw,
-                profile_acceleration,
+                0,  # no limit of the acceleration
                 round(goal.profile_rad_s / model.velocity_unit_rad_s),
                 goal_position,
             ]

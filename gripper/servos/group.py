@@ -1,28 +1,36 @@
-"""The servos of one gripper as a group: feedback, goals, stop goals, torque and bus watchdog."""
+"""The servos of one gripper as a group: feedback, goals, torque, bus watchdog, health."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 
 from gripper.clock import Clock
-from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.bus import ServoBus, protocol_1_text
 from gripper.dynamixel.control_table import (
     BUS_WATCHDOG,
     GOAL_CURRENT,
     GOAL_POSITION,
     GOAL_PWM,
+    HARDWARE_ERROR_STATUS,
+    MODEL_NUMBER,
     OPERATING_MODE,
     PWM_LIMIT,
+    REGISTERS,
+    SHUTDOWN,
     TORQUE_ENABLE,
     WATCHDOG_TRIPPED_RAW,
+    RegisterBlock,
 )
-from gripper.dynamixel.models import OperatingMode, ServoModel
+from gripper.dynamixel.models import OperatingMode, ServoModel, model_name
 from gripper.errors import (
+    AnswersOff,
     BusCorrupt,
     BusTimeout,
     FeedbackImplausible,
     GripperError,
     ServoFault,
+    ServoMissing,
+    VerificationFailed,
 )
 from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
 from gripper.servos.feedback import Feedback
@@ -34,9 +42,16 @@ from gripper.servos.goal_limits import (
     closing_margin_rad,
     standing,
 )
-from gripper.servos.health import ServoHealth
-from gripper.settings import GripperSettings
+from gripper.servos.verification import Requirement, requirements
+from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
+from gripper.values.servo_checks import (
+    HardwareError,
+    ServoCondition,
+    VerificationReport,
+    VerificationRow,
+    overload_text,
+)
 from gripper.values.state import ServoFeedback, ServoState
 
 _PATIENT_READS = 3
@@ -56,6 +71,13 @@ _BOOT_TIMEOUT_S = 3.0
 """Longest time in s after that wait until a servo answers."""
 _BOOT_RETRY_S = 0.1
 """Time in s between two requests to a servo that boots."""
+_TORQUE = RegisterBlock(TORQUE_ENABLE)
+_FACTORY_ID = 1
+"""ID of a new servo."""
+_CHECKS = 3
+"""Checks of each servo in turn: torque, a register of the start, bus watchdog."""
+_CONDITION_TRIES = 3
+"""Readings of a servo's condition until it counts as silent: one lost answer is not enough."""
 
 
 class Servos:
@@ -69,15 +91,18 @@ class Servos:
         self.settings = self._settings = settings
         """Both of the gripper."""
         self._clock = clock
-        self.health = ServoHealth(bus, settings)
-        """Checks of the servos."""
         self._ids = [servo.servo_id for servo in settings.servos]
         self.guard = GoalGuard(settings, linkage)
         """Limits of the goals; the force is passed to it."""
         self.goals = GoalWriter(bus, settings, clock, self.guard)
         """Writer of the goals, with the last ones."""
-        self.feedback = Feedback(bus, linkage, settings, clock, self.health)
+        self.feedback = Feedback(bus, linkage, settings, clock, self.check_torque)
         """Reader of the feedback, with the last one."""
+        self.notes: list[str] = []
+        """Warnings of servos that were not yet fetched."""
+        self._polls = self._polled_items = 0
+        self._accepted: dict[int, int] = {}
+        self._overloaded: set[int] = set()
 
     # Feedback
 
@@ -204,10 +229,10 @@ class Servos:
         limp
             Feedback just read, where no servo has torque.
         """
-        health, goals_in_force = self.health, self.goals_in_force
+        goals_in_force = self.goals_in_force
         if releasing and not goals_in_force:
-            health.make_releasable()
-        if limp is not None or not health.torque_on_everywhere():
+            self.make_releasable()
+        if limp is not None or not all(self.torques()):
             self.restart_watchdog(self._motion_current_a(limp), switch_on=True)
         elif not goals_in_force or self._finds_trip():
             if part_possible and not releasing:
@@ -294,6 +319,249 @@ class Servos:
                 self._clock.sleep(_BOOT_RETRY_S)
         self.forget()
 
+    # Checks that read the servos and, at the start, correct some of their registers
+
+    def torques(self) -> list[int]:
+        """Read Torque Enable (register 64) of each servo."""
+        raws = self._bus.sync_read(self._ids, _TORQUE)
+        return [raws[servo_id][TORQUE_ENABLE.name] for servo_id in self._ids]
+
+    def conditions(self) -> tuple[ServoCondition, ...]:
+        """Read torque and errors of each servo; a silent servo is no error here."""
+        return tuple(self._condition(servo_id) for servo_id in self._ids)
+
+    def _condition(self, servo_id: int) -> ServoCondition:
+        strayed = self.feedback.check.strayed.get(servo_id, "")
+        for _ in range(_CONDITION_TRIES):
+            try:
+                torque_on = self._bus.read(servo_id, TORQUE_ENABLE) != 0
+                bits = self._bus.read(servo_id, HARDWARE_ERROR_STATUS)
+                shutdown_bits = self._bus.read(servo_id, SHUTDOWN) if bits else 0
+            except AnswersOff:
+                return ServoCondition(
+                    servo_id=servo_id, answers=False, answers_off=True, strayed=strayed
+                )
+            except (BusTimeout, BusCorrupt):
+                continue
+            return ServoCondition(
+                servo_id=servo_id,
+                torque_on=torque_on,
+                error_bits=bits,
+                shut_down=not torque_on and bits & shutdown_bits != 0,
+                strayed=strayed,
+            )
+        return ServoCondition(servo_id=servo_id, answers=False, strayed=strayed)
+
+    def require_present(self) -> None:
+        """Ping every servo. Raises ServoMissing, which names the IDs that answer instead."""
+        silent: dict[int, BusTimeout | BusCorrupt] = {}
+        for servo_id in self._ids:
+            try:
+                self._bus.ping(servo_id)
+            except (BusTimeout, BusCorrupt) as error:
+                silent[servo_id] = error
+        if not silent:
+            return
+        answering, _ = self._bus.scan_at_once()
+        others = [one for one in answering if one.servo_id not in self._ids]
+        listed = ", ".join(f"{one.servo_id} ({model_name(one.model_number)})" for one in others)
+        rows = tuple(
+            VerificationRow(
+                servo_id=servo_id,
+                item="ping",
+                expected=f"an answer at {self._bus.baudrate} baud",
+                actual=("no right answer" if servo_id in silent else "an answer")
+                + (f"; other IDs that answer: {listed}" if listed else ""),
+                ok=servo_id not in silent,
+            )
+            for servo_id in self._ids
+        )
+        report = VerificationReport(rows=rows)
+        advice = (
+            "give the servo its ID, or name the right one in the settings"
+            if others
+            else "check supply, cable, baud rate and that no two servos share an ID"
+        )
+        if old := self._bus.scan_protocol_1(sorted({*silent, _FACTORY_ID})):
+            advice = protocol_1_text(old)
+        raise ServoMissing(report, [*(str(row) for row in report.failed), advice]) from next(
+            iter(silent.values())
+        )
+
+    def verify(self, *, correct: bool, refuse: bool = False) -> VerificationReport:
+        """Compare the registers of all servos with their requirements.
+
+        Raises ServoFault when the only problems are errors that servos report: `clear` may remove
+        them. Raises VerificationFailed when another row does not agree.
+
+        Parameters
+        ----------
+        correct
+            True to rewrite the correctable registers where they differ; the torque must be off.
+        refuse
+            True to raise when a row does not agree.
+        """
+        report = VerificationReport(
+            rows=tuple(
+                row
+                for servo in self._settings.servos
+                for row in self._verify_one(servo, correct=correct)
+            )
+        )
+        if correct:
+            self._bus.port.return_delay_s = 0.0
+        if refuse and not report.ok:
+            errors = [row for row in report.failed if row.item == HARDWARE_ERROR_STATUS.name]
+            if len(errors) < len(report.failed):
+                raise VerificationFailed(report, [str(row) for row in report.failed])
+            raise ServoFault(
+                errors[0].servo_id,
+                int(errors[0].actual),
+                "it reports a hardware error from before the start and nothing has moved; remedy "
+                "its cause, then clear it with a reboot",
+                torque_lost=True,
+            )
+        return report
+
+    def make_releasable(self) -> None:
+        """Correct the registers of servos before a release; switches their torque off for it.
+
+        An error that a servo reports now blocks neither this nor `poll` until `end_release`. Raises
+        VerificationFailed where another register does not agree and may not be corrected: the
+        fingers have no torque then.
+        """
+        self._accepted = {
+            condition.servo_id: condition.error_bits for condition in self.conditions()
+        }
+        report = self.verify(correct=False)
+        if all(row.item == HARDWARE_ERROR_STATUS.name for row in report.failed):
+            return
+        for servo_id in self._ids:
+            self._bus.write(servo_id, BUS_WATCHDOG, 0)
+            self._bus.write(servo_id, TORQUE_ENABLE, 0)
+        report = self.verify(correct=True)
+        wrong = [str(row) for row in report.failed if row.item != HARDWARE_ERROR_STATUS.name]
+        if wrong:
+            raise VerificationFailed(
+                report, [*wrong, "the torque is off now and the fingers did not open"]
+            )
+
+    def end_release(self) -> None:
+        """End the acceptance of errors of servos."""
+        self._accepted = {}
+
+    def _required(self, servo: ServoSettings) -> tuple[Requirement, ...]:
+        settings = self._settings
+        return requirements(servo.servo_model, settings.current_max_a, settings.temperature_max_c)
+
+    def _verify_one(self, servo: ServoSettings, *, correct: bool) -> Iterator[VerificationRow]:
+        servo_id = servo.servo_id
+        self._bus.ping(servo_id)
+        for required in self._required(servo):
+            register = REGISTERS[required.item]
+            raw = self._bus.read(servo_id, register)
+            allowed = correct and required.item in self._settings.corrected_registers
+            if corrects := allowed and not required.met_by(raw):
+                self._bus.write(servo_id, register, required.low)
+                raw = self._bus.read(servo_id, register)
+            yield required.row(servo_id, raw, corrected=corrects)
+            if register is MODEL_NUMBER and not required.met_by(raw):
+                # For another model the other items may have another meaning.
+                return
+
+    def poll(self, state: ServoFeedback, *, watchdog: bool = True) -> None:
+        """Check one more item of one servo; called repeatedly while the torque is on.
+
+        Raises ServoFault when a servo reports a hardware error, has lost its torque or its watchdog
+        tripped. An overload that the servo only reports is a note.
+
+        Parameters
+        ----------
+        state
+            Newest feedback; an Alert in it is examined at once.
+        watchdog
+            False where a tripped watchdog does no harm.
+        """
+        for servo in state.servos:
+            # A reported overload keeps the alert on: it is read again in turn only.
+            if servo.alert and servo.servo_id not in self._overloaded:
+                self._check_hardware(servo.servo_id)
+        index, check = divmod(self._polls, _CHECKS)
+        self._polls = (self._polls + 1) % (_CHECKS * len(self._ids))
+        if check == 0:
+            self.check_torque(self._ids[index])
+            if self._ids[index] in self._overloaded:
+                self._check_hardware(self._ids[index])
+        elif check == 1:
+            self._check_register(index)
+        elif watchdog and self._bus.read(self._ids[index], BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW:
+            raise ServoFault(
+                self._ids[index],
+                0,
+                "its bus watchdog has tripped because the loop fell silent; the servo has "
+                "stopped, a part may still be gripped",
+            )
+
+    def _check_register(self, index: int) -> None:
+        """Read the next register that was verified at the start; all of them in turn."""
+        servo = self._settings.servos[index]
+        required = self._required(servo)
+        item = required[self._polled_items // len(self._ids) % len(required)]
+        self._polled_items += 1
+        if item.item == HARDWARE_ERROR_STATUS.name:
+            return
+        raw = self._bus.read(servo.servo_id, REGISTERS[item.item])
+        if not item.met_by(raw):
+            raise ServoFault(
+                servo.servo_id,
+                0,
+                f"its register {item.item} has changed since the start: expected "
+                f"{item.expected}, found {raw}. Somebody else writes to this servo, or it has "
+                f"restarted; the goals are frozen",
+            )
+
+    def _check_hardware(self, servo_id: int) -> None:
+        bits = self._bus.read(servo_id, HARDWARE_ERROR_STATUS)
+        if bits:
+            lost = self._bus.read(servo_id, TORQUE_ENABLE) == 0
+            if not lost and bits == self._accepted.get(servo_id):
+                return
+            if not lost and bits == HardwareError.OVERLOAD:
+                if servo_id in self._overloaded:
+                    return
+                shutdown_raw = self._bus.read(servo_id, SHUTDOWN)
+                if not shutdown_raw & bits:
+                    self._overloaded.add(servo_id)
+                    self.notes.append(f"servo {servo_id}: {overload_text(shutdown_raw)}")
+                    return
+            detail = (
+                "it has switched its torque off; remedy the cause, then clear the fault with a "
+                "reboot"
+                if lost
+                else "it reports a hardware error and still has its torque"
+            )
+            raise ServoFault(servo_id, bits, detail, torque_lost=lost)
+
+    def check_torque(self, servo_id: int) -> None:
+        """Raise ServoFault when a servo has lost its torque."""
+        if self._bus.read(servo_id, TORQUE_ENABLE) == 0:
+            bits = self._bus.read(servo_id, HARDWARE_ERROR_STATUS)
+            raise ServoFault(
+                servo_id,
+                bits,
+                "its torque is off although it was not switched off here: a reboot, a shutdown, "
+                "or another program on the bus",
+                torque_lost=True,
+            )
+
+    def watchdogs_tripped(self) -> frozenset[int]:
+        """Read the bus watchdogs (register 98); return the IDs of the servos with a tripped one."""
+        return frozenset(
+            i for i in self._ids if self._bus.read(i, BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW
+        )
+
+    # Parts
+
     def _finds_trip(self) -> bool:
         """Arm the bus watchdogs that are not armed; return whether one has tripped, which stays so.
 
@@ -349,7 +617,7 @@ class Servos:
         After its watchdog was cleared, a servo stands until the next write of any goal. Then it
         follows all its goals, also old ones: position and current come first, in one write.
         """
-        for tries_left in reversed(range(_GOAL_TRIES)):
+        for _ in range(_GOAL_TRIES):
             state = self.read_patiently()
             for servo, settings in zip(state.servos, self._settings.servos, strict=True):
                 self._check_goal_is_near(servo, settings.servo_model)
@@ -357,30 +625,29 @@ class Servos:
                 [ServoGoal(angle_rad=angle, current_a=current_a) for angle in state.angles_rad],
                 state,
             )
-            try:
-                self._check_goals_taken()
+            fault = self._not_taken()
+            if fault is None:
                 break
-            except ServoFault:
-                if not tries_left:
-                    raise
+        if fault is not None:
+            raise fault
         for servo_id in self._ids:
             # The goals of the other modes limit this mode too.
             self._bus.write(servo_id, GOAL_PWM, self._bus.read(servo_id, PWM_LIMIT))
 
-    def _check_goals_taken(self) -> None:
-        """Read the goals of the present positions back; ServoFault where one differs."""
+    def _not_taken(self) -> ServoFault | None:
+        """Read the last goals back; return the fault of a servo that has another goal."""
         goals_raw = self._bus.sync_read(self._ids, GOAL_BLOCK)
         for servo_id, (current_raw, *_, position_raw) in self.goals.raws.items():
             wrote = {GOAL_POSITION.name: position_raw, GOAL_CURRENT.name: current_raw}
             for name, raw in wrote.items():
-                read_raw = goals_raw[servo_id][name]
-                if read_raw != raw:
-                    raise ServoFault(
+                if (read_raw := goals_raw[servo_id][name]) != raw:
+                    return ServoFault(
                         servo_id,
                         0,
                         f"it did not take its {name}: wrote {raw}, read {read_raw}; check the "
                         f"servo line, then clear the fault",
                     )
+        return None
 
     def _obeys(self, servo_id: int) -> bool:
         """Read whether a servo has its last goal; clear a watchdog that blocks it.

@@ -1,14 +1,12 @@
 """Required register values of a servo before it may move, and their comparison."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from math import ceil
 
 from gripper.dynamixel.models import PWM_SLOPE_RAW, OperatingMode, ServoModel
 from gripper.dynamixel.protocol2 import HIGHEST_ID
 from gripper.errors import LimitExceeded
-from gripper.settings import CORRECTABLE
 from gripper.values.servo_checks import HardwareError, VerificationRow
 
 _DRIVE_MODE_MASK = 0b1101
@@ -32,36 +30,40 @@ class Requirement:
     """Bounds of the raw value after the mask."""
     mask: int = -1
     """Bits that count."""
-    write_raw: int | None = None
-    """Value to write when it does not agree; None where the user decides."""
 
     def met_by(self, raw: int) -> bool:
         """Return whether a raw value agrees."""
         return self.low <= raw & self.mask <= self.high
 
+    def row(self, servo_id: int, raw: int, *, corrected: bool = False) -> VerificationRow:
+        """Return the comparison with the raw value of a servo."""
+        return VerificationRow(
+            servo_id=servo_id,
+            item=self.item,
+            expected=self.expected,
+            actual=str(raw),
+            ok=self.met_by(raw),
+            corrected=corrected,
+        )
+
 
 def _of(
     item: str, low: int, high: int | None = None, expected: str = "", mask: int = -1
 ) -> Requirement:
-    """Return the requirement of a register: a range, or one value, which may be written."""
+    """Return the requirement of a register: a range, or one value."""
     if high is None:
-        write_raw = low if item in CORRECTABLE else None
-        return Requirement(item, expected or str(low), low, low, mask=mask, write_raw=write_raw)
-    return Requirement(item, expected or f"{low} to {high}", low, high, mask=mask)
+        return Requirement(item, expected or str(low), low, low, mask)
+    return Requirement(item, expected or f"{low} to {high}", low, high, mask)
 
 
 @cache
 def requirements(
-    model: ServoModel,
-    current_max_a: float,
-    temperature_max_c: float,
-    corrected: frozenset[str] = CORRECTABLE,
+    model: ServoModel, current_max_a: float, temperature_max_c: float
 ) -> tuple[Requirement, ...]:
     """Return the requirements of the registers of a servo that this package may drive.
 
-    Operating mode, return delay, status return level, PWM slope and position gains are corrected
-    where ``corrected`` names them. Items that change the mechanics or the protection of the servo
-    are only compared: the user decides on them.
+    Those of `gripper.settings.CORRECTABLE` have one right value. Items that change the mechanics or
+    the protection of the servo are only compared: the user decides on them.
     """
     most_a = model.winding_a(model.current_limit_raw)
     if current_max_a > most_a:
@@ -107,36 +109,4 @@ def requirements(
         _of("position_p_gain", p_gain),
     ]
     unneeded = model.absent if model.goal_velocity_raw else model.absent | {"velocity_limit"}
-    return tuple(
-        one if one.item in corrected else replace(one, write_raw=None)
-        for one in items
-        if one.item not in unneeded
-    )
-
-
-def compare(
-    servo_id: int,
-    required: tuple[Requirement, ...],
-    raws: Mapping[str, int],
-    corrected: frozenset[str] = frozenset(),
-) -> tuple[VerificationRow, ...]:
-    """Return one row for each requirement.
-
-    Parameters
-    ----------
-    raws
-        Raw values by name of the register.
-    corrected
-        Names of the registers that were rewritten before ``raws`` were read.
-    """
-    return tuple(
-        VerificationRow(
-            servo_id=servo_id,
-            item=requirement.item,
-            expected=requirement.expected,
-            actual=str(raws[requirement.item]),
-            ok=requirement.met_by(raws[requirement.item]),
-            corrected=requirement.item in corrected,
-        )
-        for requirement in required
-    )
+    return tuple(one for one in items if one.item not in unneeded)

@@ -6,7 +6,6 @@ until the watchdog must have tripped, and the positions are compared.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from gripper.clock import Clock
 from gripper.errors import LimitExceeded, WatchdogUnproven
@@ -44,41 +43,6 @@ _LONGEST_RAD = 0.2
 """Longest way in rad of the test motion: 12 mm of a finger with links of 60 mm."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WatchdogProof:
-    """Result of the self-test for one servo."""
-
-    servo_id: int
-    """The servo."""
-    tripped: bool
-    """Whether Bus Watchdog (register 98) read -1 after the silence."""
-    moved_pulses: int
-    after_pulses: int
-    left_pulses: int
-    """Way in the silence, way afterwards, and remaining way to the goal: counts of Present
-    Position."""
-    farthest_pulses: int
-    """Largest possible way before the watchdog tripped."""
-
-    @property
-    def ok(self) -> bool:
-        """True when the servo moved, its watchdog tripped and it stood still before its goal."""
-        return (
-            self.tripped
-            and _LEAST_PULSES <= self.moved_pulses <= self.farthest_pulses
-            and self.left_pulses >= _LEAST_PULSES
-            and self.after_pulses <= _STILL_PULSES
-        )
-
-    def __str__(self) -> str:
-        return (
-            f"servo {self.servo_id}: register 98 {'tripped' if self.tripped else 'did not trip'}, "
-            f"{self.moved_pulses} pulses in the silence ({_LEAST_PULSES} to {self.farthest_pulses} "
-            f"expected), {self.after_pulses} after it, "
-            f"{self.left_pulses} short of its goal"
-        )
-
-
 def prove_watchdog(
     servos: Servos, linkage: Linkage, settings: GripperSettings, clock: Clock
 ) -> None:
@@ -113,27 +77,29 @@ def prove_watchdog(
     stopped = servos.read()
     clock.sleep(_REST_RAD / speed_rad_s)
     later = servos.read()
-    tripped = servos.health.watchdogs_tripped()
+    tripped = servos.watchdogs_tripped()
     servos.restart_watchdog(max(currents_a))
     farthest_rad = _FARTHEST_SHARE * speed_rad_s * settings.watchdog_s
-    pulses_rad = [servo.servo_model.rad_per_pulse for servo in settings.servos]
-    proofs = tuple(
-        WatchdogProof(
-            servo_id=servo.servo_id,
-            tripped=servo.servo_id in tripped,
-            moved_pulses=_pulses(before, stopped, index),
-            after_pulses=_pulses(stopped, later, index),
-            farthest_pulses=round(farthest_rad / pulse_rad) + _FARTHEST_MORE_PULSES,
-            left_pulses=round((later.servos[index].angle_rad - goals_rad[index]) / pulse_rad),
-        )
-        for index, (servo, pulse_rad) in enumerate(zip(before.servos, pulses_rad, strict=True))
-    )
-    if not all(proof.ok for proof in proofs):
+    unproven = []
+    for index, servo in enumerate(settings.servos):
+        has_tripped, pulse_rad = servo.servo_id in tripped, servo.servo_model.rad_per_pulse
+        moved = _pulses(before, stopped, index)
+        farthest = round(farthest_rad / pulse_rad) + _FARTHEST_MORE_PULSES
+        after = _pulses(stopped, later, index)
+        left = round((later.servos[index].angle_rad - goals_rad[index]) / pulse_rad)
+        stood = left >= _LEAST_PULSES and after <= _STILL_PULSES
+        if not (has_tripped and _LEAST_PULSES <= moved <= farthest and stood):
+            unproven.append(
+                f"servo {servo.servo_id}: register 98 "
+                f"{'tripped' if has_tripped else 'did not trip'}, {moved} pulses in the silence "
+                f"({_LEAST_PULSES} to {farthest} expected), {after} after it, {left} short of its "
+                f"goal"
+            )
+    if unproven:
         raise WatchdogUnproven(
-            "the bus watchdog is not proven to stop the motors: "
-            + "; ".join(str(proof) for proof in proofs if not proof.ok)
-            + ". Do not run this gripper unattended; update the firmware or replace the servo, or "
-            "switch watchdog_self_test off to work attended"
+            f"the bus watchdog is not proven to stop the motors: {'; '.join(unproven)}. Do not run "
+            "this gripper unattended; update the firmware or replace the servo, or switch "
+            "watchdog_self_test off to work attended"
         )
 
 

@@ -50,9 +50,6 @@ class RecentForce:
     def __len__(self) -> int:
         return len(self._samples)
 
-    def __bool__(self) -> bool:
-        return bool(self._samples)
-
     def __iter__(self) -> Iterator[ForceSample]:
         """Iterate over the samples, the newest one first."""
         return reversed(self._samples)

@@ -23,7 +23,7 @@ _CATALOGUE = 0.09 / 0.2214
 
 
 def drives(cell: Any) -> list[DriveCharacteristic]:
-    return list(cell.gripper.drives.read().drives.values())
+    return list(cell.gripper.read_drives().drives.values())
 
 
 def true_friction_a(motor: Any) -> float:
@@ -76,7 +76,7 @@ def test_one_finger_after_the_other_shows_its_torque(make_started) -> None:
         motor.friction_factor = 1.0
     cell.gripper.open()
     cell.gripper.grasp(ForceRamp.linear(8.0, 8.0, 0.5))
-    cell.gripper.drives.measure_load()
+    cell.gripper.measure_load()
     cell.gripper.release()
     for motor, drive in zip(cell.motors, drives(cell), strict=True):
         assert drive.rising_a_nm == pytest.approx(1.0 / motor.kt_nm_a, rel=0.1)
@@ -94,7 +94,7 @@ def test_a_closing_finger_whose_friction_is_more_than_was_measured_moves(make_st
     for servo in cell.settings.servos:
         drive = cell.settings.drives.of(servo.servo_id, servo.drive)
         cell.settings.drives.put(servo.servo_id, drive.with_friction(0.25))
-    cell.gripper.drives.measure_friction()
+    cell.gripper.measure_friction()
     for motor, drive in zip(cell.motors, drives(cell), strict=True):
         assert drive.breakaway_a == pytest.approx(true_friction_a(motor), rel=0.1)
 
@@ -105,7 +105,7 @@ def test_free_motions_at_several_speeds_anchor_the_motor_constant(make_started) 
     for motor, factor in zip(cell.motors, (0.75, 1.25), strict=True):
         motor.kt_factor = factor
     cell.gripper.open()
-    cell.gripper.drives.measure_friction()
+    cell.gripper.measure_friction()
     assert cell.gripper.read_feedback().aperture_m == pytest.approx(0.03, abs=0.001)
     for motor, drive in zip(cell.motors, drives(cell), strict=True):
         assert drive.kt_nm_a == pytest.approx(XM430_W350.kt_nm_a * motor.kt_factor, rel=0.1)
@@ -125,20 +125,20 @@ def test_ordinary_grasps_follow_grease_that_warms(make_started) -> None:
         cell.gripper.release()
     for motor, drive in zip(cell.motors, drives(cell), strict=True):
         assert drive.breakaway_a == pytest.approx(true_friction_a(motor), rel=0.08)
-    assert not cell.gripper.drives.read().notes
+    assert not cell.gripper.read_drives().notes
 
 
 @pytest.mark.slow
 def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(make_started) -> None:
     cell = make_started(present=False)
     cell.gripper.open()
-    assert not cell.gripper.drives.read().notes
+    assert not cell.gripper.read_drives().notes
     cell.motors[1].friction_factor *= 1.6
-    cell.gripper.drives.measure_friction()
-    (note, *_) = cell.gripper.drives.read().notes
+    cell.gripper.measure_friction()
+    (note, *_) = cell.gripper.read_drives().notes
     assert "servo 2: its free motion takes 1." in note
     assert "a cable drags, or it is worn" in note
-    assert not cell.gripper.drives.read().notes
+    assert not cell.gripper.read_drives().notes
     assert drives(cell)[1].breakaway_a == pytest.approx(true_friction_a(cell.motors[1]), rel=0.1)
 
 
@@ -150,14 +150,14 @@ def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(make_started
     def wear() -> None:
         for _ in range(8):
             cell.motors[0].friction_factor *= 1.39
-            cell.gripper.drives.measure_friction()
+            cell.gripper.measure_friction()
 
     with pytest.raises(ServoFault, match=r"servo 1.* a cable drags, or it is worn"):
         wear()
     cell.motors[0].friction_factor = _CATALOGUE
     cell.gripper.clear_fault()
     cell.gripper.release()
-    cell.gripper.drives.measure_friction()
+    cell.gripper.measure_friction()
     assert drives(cell)[0].breakaway_a == pytest.approx(true_friction_a(cell.motors[0]), rel=0.1)
 
 
@@ -168,12 +168,12 @@ def test_pads_that_read_too_little_are_noted_once_the_back_emf_is_known(make_sta
     cell.sensor.gain = gain
     cell.gripper.open()
     cell.gripper.grasp(ForceRamp.linear(6.0, 8.0, 0.5))
-    cell.gripper.drives.measure_load()
-    assert not cell.gripper.drives.read().notes, "the catalogue is no anchor"
+    cell.gripper.measure_load()
+    assert not cell.gripper.read_drives().notes, "the catalogue is no anchor"
     cell.gripper.release()
     cell.part.present = False
-    cell.gripper.drives.measure_friction()
-    notes = cell.gripper.drives.read().notes
+    cell.gripper.measure_friction()
+    notes = cell.gripper.read_drives().notes
     assert len(notes) == 2, "one for each servo"
     assert all("the law of the pads" in note for note in notes)
     shares = [float(note.partition("makes ")[2].split()[0]) for note in notes]

@@ -312,10 +312,17 @@ def in_protocol_1(cell, servo_id: int) -> None:
     cell.servos[1].registers.data[7] = servo_id
 
 
+def echo_alone(cell) -> None:
+    """The host receives what it sends, and nothing else."""
+    cell.device.faults.echo = True
+    cell.device.faults.silent.update({1, 2})
+
+
 @pytest.mark.parametrize(
     ("change", "hint"),
     [
         (lambda cell: setattr(cell.device, "baudrate", 57600), "check supply, cable, baud rate"),
+        (echo_alone, "check supply, cable, baud rate"),
         (lambda cell: in_protocol_1(cell, 1), r"1\.0 come from servo 1: .*\(register 13\) to 2"),
         (lambda cell: in_protocol_1(cell, 2), r"1\.0 come from servo 2: .*\(register 13\) to 2"),
     ],
@@ -382,7 +389,7 @@ def test_an_overload_that_is_only_reported_is_a_note_and_keeps_the_grip(cell) ->
     cell.hold_part(ForceRamp.linear(2.0, rate_n_s=5.0))
     cell.gripper.hold(0.5, cell.once(cell.servos[0].plant.overload, in_s=0.1))
     assert cell.gripper.phase is GripperPhase.HOLDING
-    (note,) = cell.gripper.drives.read().notes
+    (note,) = cell.gripper.read_drives().notes
     assert note == (
         "servo 1: an overload is only reported: the cell's limit of heat alone protects it"
     )

@@ -39,11 +39,6 @@ READ_132_2 = packet("FFFFFD00 02 0700 02 8400 0400")
 ONE_IS_2079 = packet("FFFFFD00 01 0800 55 00 1F080000")
 
 
-def test_a_scan_leaves_out_a_servo_that_refuses_the_ping(script, bus) -> None:
-    script.expect(PING_1, REFUSED_1)
-    assert bus.scan([1]) == ()
-
-
 def test_stuffed_answer_is_sign_extended(script, bus) -> None:
     script.expect(
         "FFFFFD00 FE 0900 82 7E00 0A00 01 02 3892",

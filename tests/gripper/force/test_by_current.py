@@ -93,7 +93,7 @@ def test_the_samples_carry_what_the_torque_figures_leave_open(make_cell) -> None
     samples = []
     gripper, _ = closed(cell)
     gripper.hold(0.1, lambda cycle: samples.append(cycle.force))
-    drive = next(iter(gripper.drives.read().drives.values()))
+    drive = next(iter(gripper.read_drives().drives.values()))
     friction_n = drive.breakaway_a / drive.rising_a_nm / cell.linkage.link_m
     noise_n = hypot(_SDS[1] * (5.0 + friction_n), drive.friction_sd * friction_n)
     assert samples[-1].noise_n == pytest.approx(noise_n, rel=0.1)

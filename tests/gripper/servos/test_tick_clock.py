@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from gripper.servos.feedback import TickWatch
+from gripper.servos.feedback import TickClock
 
 PERIOD_S = 0.005
 Rate = Callable[[float], float]
@@ -22,7 +22,7 @@ def refused(
 
     A clock runs at a rate; where it lags each answer is the one of the period before.
     """
-    generator, watch = random.Random(1), TickWatch()
+    generator, clock = random.Random(1), TickClock(1)
     now_s, made_s, tick_s, before_ms = 0.0, 0.0, 30.0 * generator.random(), 0
     new = old = came = 0
     while now_s < seconds:
@@ -34,9 +34,9 @@ def refused(
         tick_ms = int(1e3 * tick_s) % 32768
         if lags(now_s):
             came += 1
-            old += watch.check(1, before_ms, now_s, received_s) is not None
+            old += clock.check(before_ms, now_s, received_s) is not None
         else:
-            new += watch.check(1, tick_ms, now_s, received_s) is not None
+            new += clock.check(tick_ms, now_s, received_s) is not None
         before_ms = tick_ms
         now_s = max(now_s + PERIOD_S, received_s)
         if pauses and generator.random() < 0.002:
@@ -67,15 +67,15 @@ def test_after_a_lag_new_answers_are_taken_at_once() -> None:
 
 
 def test_the_servos_own_clock_shows_old_answers_and_restarts() -> None:
-    watch = TickWatch()
-    assert watch.check(1, 32760, 0.0, 0.001) is None
-    assert watch.check(1, 2, 0.010, 0.011) is None
-    old = watch.check(1, 3, 0.040, 0.041)
+    clock = TickClock(1)
+    assert clock.check(32760, 0.0, 0.001) is None
+    assert clock.check(2, 0.010, 0.011) is None
+    old = clock.check(3, 0.040, 0.041)
     assert "old answer" in str(old)
-    assert watch.check(1, 33, 0.041, 0.042) is None
-    assert watch.check(1, 20000, 0.046, 0.047) is not None
-    assert watch.check(1, 20005, 0.051, 0.052) is None
-    assert watch.check(1, 1, 30.0, 30.001) is None
-    assert watch.check(1, 31000, 30.01, 30.011) is not None
-    watch.forget()
-    assert watch.check(1, 7, 30.02, 30.021) is None
+    assert clock.check(33, 0.041, 0.042) is None
+    assert clock.check(20000, 0.046, 0.047) is not None
+    assert clock.check(20005, 0.051, 0.052) is None
+    assert clock.check(1, 30.0, 30.001) is None
+    assert clock.check(31000, 30.01, 30.011) is not None
+    clock.forget()
+    assert clock.check(7, 30.02, 30.021) is None
