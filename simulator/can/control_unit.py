@@ -37,15 +37,7 @@ _WORST_BITS = 135
 """Longest message of 8 data bytes on the wire in bits, all stuff bits included (ISO 11898-1)."""
 _MAX_HISTORY = 8
 """Most error codes in object 0x1003: its sub-indices in the EDS."""
-_FORCE_OBJECTS = frozenset(
-    (
-        "Force message",
-        unit_od.FORCE_TABLE,
-        unit_od.FORCE_ZERO,
-        "TPDO2 communication parameter",
-        "TPDO2 mapping parameter",
-    )
-)
+_FORCE_OBJECTS = frozenset((0x1801, 0x1A01, 0x2140, 0x2141, 0x2142))
 """Objects added in minor revision 1 of the unit."""
 _COB_ID_BITS = 0x7FF
 """Bits of a COB-ID entry that are the identifier of 11 bits."""
@@ -57,9 +49,6 @@ _LOWEST_PDO_COB_ID, _HIGHEST_PDO_COB_ID = 0x181, 0x57F
 _COB_IDS = (unit_od.FRAMES_COB_ID, unit_od.FORCES_COB_ID)
 _SYNC_COB_ID = "COB-ID SYNC message"
 _ERRORS = "Pre-defined error field"
-_FIXED_VALUES = {f"{_ERRORS}.Number of errors": 0}
-"""The only value that the host may write to an object, besides the transmission type of a PDO: 0
-clears the history of errors."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,7 +122,7 @@ class SimulatedControlUnit(CanopenDevice):
         return before
 
     def _check_there(self, od: ODVariable, subindex: int) -> None:
-        if object_name(od) in self._missing:
+        if od.index in self._missing:
             raise canopen.SdoAbortedError(sdo.ABORT_NOT_IN_OD)
         super()._check_there(od, subindex)
 
@@ -160,8 +149,9 @@ class SimulatedControlUnit(CanopenDevice):
             raise canopen.SdoAbortedError(sdo.ABORT_VALUE_TOO_HIGH)
         if od.min is not None and value < od.min:
             raise canopen.SdoAbortedError(sdo.ABORT_VALUE_TOO_LOW)
-        fixed = od.default if od.name.startswith("Transmission type") else _FIXED_VALUES.get(name)
-        if fixed is not None and value != fixed:
+        # Nobody changes a transmission type, and a 0 clears the history of errors.
+        fixed = od.name.startswith("Transmission type") or group == _ERRORS
+        if fixed and value != od.default:
             raise canopen.SdoAbortedError(sdo.ABORT_INVALID_VALUE)
         if name == _SYNC_COB_ID and not 1 <= value & _FRAME_BIT_AND_COB_ID <= _COB_ID_BITS:
             raise canopen.SdoAbortedError(sdo.ABORT_INVALID_VALUE)

@@ -1,9 +1,7 @@
 """The simulated control unit: services, frames, forces, exact vectors of its bursts."""
 
 import struct
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import canopen
 import numpy as np
@@ -13,7 +11,6 @@ from canopen.sdo import SdoClient
 from simulator.can.control_unit import (
     EMCY_OVERRUN,
     EMCY_WINDOW,
-    ControlUnitSettings,
     SimulatedControlUnit,
 )
 from simulator.can.faults import ControlUnitFaults
@@ -34,15 +31,12 @@ START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 
 class Line:
     """A unit on a line on which a message takes 100 us."""
 
-    def __init__(
-        self, layout: TaxelLayout | None = None, settings: ControlUnitSettings | None = None
-    ) -> None:
-        self.layout = layout or paper_layout()
+    def __init__(self) -> None:
+        self.layout = paper_layout()
         self.skin = Skin(self.layout)
         self.skin.counts[:] = 3
-        self.faults = ControlUnitFaults()
-        self.unit = SimulatedControlUnit(self.skin, self.layout, settings, faults=self.faults)
-        self.heard: list[tuple[float, int, bytes]] = []
+        self.unit = SimulatedControlUnit(self.skin, self.layout)
+        self.heard: list[tuple[int, bytes]] = []
         self.now_s = 0.0
         self.message_s = 100e-6
         self.unit.send = self._hear
@@ -52,9 +46,7 @@ class Line:
         self.take()
 
     def _hear(self, ready_s: float, can_id: int, messages: list[bytes]) -> float:
-        self.heard.extend((ready_s, can_id, message) for message in messages)
-        if can_id == SDO_OUT:
-            self.client.on_response(can_id, bytearray(messages[0]), ready_s)
+        self.heard.extend((can_id, message) for message in messages)
         return ready_s + self.message_s * len(messages)
 
     def wait(self, seconds: float) -> None:
@@ -67,32 +59,25 @@ class Line:
         return self.take()
 
     def take(self) -> list[tuple[int, bytes]]:
-        heard = [(can_id, data) for _, can_id, data in self.heard]
-        self.heard.clear()
+        heard, self.heard = self.heard, []
         return heard
 
     def send_message(self, can_id: int, data: bytes) -> None:
-        """Send a message of canopen's client."""
-        self.unit.receive(can_id, bytes(data), self.now_s)
-
-    def _transfer(self, transfer: Callable[..., Any], *arguments: Any) -> Any:
-        before = list(self.heard)
-        try:
-            return transfer(*arguments)
-        finally:
-            self.heard = before
+        """Send a message of canopen's client, which gets the answer."""
+        for answer_id, answer in self.tell(can_id, bytes(data)):
+            self.client.on_response(answer_id, answer, self.now_s)
 
     def write(self, index: int, sub: int, value: int | bytes, size: int = 0) -> int:
         """Write an object; returns the abort code, 0 for success."""
         data = value if isinstance(value, bytes) else value.to_bytes(size, "little")
         try:
-            self._transfer(self.client.download, index, sub, data)
+            self.client.download(index, sub, data)
         except canopen.SdoAbortedError as refusal:
             return refusal.code
         return 0
 
     def read(self, index: int, sub: int = 0) -> bytes:
-        return self._transfer(self.client.upload, index, sub)
+        return self.client.upload(index, sub)
 
     def number(self, index: int, sub: int = 0) -> int:
         return int.from_bytes(self.read(index, sub), "little")

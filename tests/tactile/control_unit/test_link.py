@@ -173,7 +173,7 @@ def boot_late(bench) -> None:
     [
         boot_late,
         lambda bench: copy(bench, 0x580 + NODE, 2, times=1),
-        lambda bench: setattr(bench.unit, "_missing", {"Synchronous counter overflow value"}),
+        lambda bench: setattr(bench.unit, "_missing", {0x1019}),
     ],
     ids=["late boot", "one SDO answer twice", "no object 1019h"],
 )
