@@ -20,8 +20,6 @@ COUNTER_MASK = 0xFFFF
 class FrameStatus(IntFlag):
     """Status bits of a frame."""
 
-    TARED = 0x01
-    """The source has subtracted its own zero from the samples."""
     SATURATED = 0x02
     """At least one sample is at full scale."""
     CONVERTER_FAULT = 0x04

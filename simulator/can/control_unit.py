@@ -103,8 +103,6 @@ class SimulatedControlUnit(CanopenDevice):
             "Identity object.Serial number": self.settings.serial_number,
             "Error register": lambda _subindex: self._error_register,
             _ERRORS: self._read_history,
-            "Last frame": self._read_frame,
-            "Counter of the last frame read": lambda _subindex: self.scanner.read_counter,
             "Serial numbers of the boards": self._read_board,
         }
         self.power_cycle()
@@ -137,18 +135,10 @@ class SimulatedControlUnit(CanopenDevice):
         finger = subindex - 1
         return self.settings.boards[1 - finger if self.faults.pads_swapped else finger]
 
-    def _read_frame(self, _subindex: int) -> bytes:
-        frame = self.scanner.last_frame()
-        if frame is None:
-            raise canopen.SdoAbortedError(sdo.ABORT_NO_DATA_AVAILABLE)
-        return frame
-
     def _written(self, od: ODVariable, value: Any) -> None:
         name, group = od.qualname, object_name(od)
         if od.max is not None and value > od.max:
             raise canopen.SdoAbortedError(sdo.ABORT_VALUE_TOO_HIGH)
-        if od.min is not None and value < od.min:
-            raise canopen.SdoAbortedError(sdo.ABORT_VALUE_TOO_LOW)
         # Nobody changes a transmission type, and a 0 clears the history of errors.
         fixed = od.name.startswith("Transmission type") or group == _ERRORS
         if fixed and value != od.default:
@@ -174,9 +164,6 @@ class SimulatedControlUnit(CanopenDevice):
                 self.scanner.forces.take_zero(bytes(value))
         except DamagedObject as error:
             raise canopen.SdoAbortedError(sdo.ABORT_INVALID_VALUE) from error
-        # The simulated unit takes no zero of its own, so it can only be told to have none.
-        if name == "Tare.Command" and value != unit_od.TARE_CLEAR_SIGNATURE:
-            raise canopen.SdoAbortedError(sdo.ABORT_STORE_APPLICATION)
 
     # -- device on the bus ---------------------------------------------------------------------
 

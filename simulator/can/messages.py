@@ -62,7 +62,7 @@ class BurstFormat:
         return self.n_taxels * self.sample_bytes + _TRAILER_BYTES
 
     def samples(self, counts: NDArray[np.uint16]) -> bytes:
-        """Return the samples of a scan, as object 2200h and the burst have them."""
+        """Return the samples of a scan, as the burst has them."""
         return counts.astype("<u1" if self.sample_bytes == 1 else "<u2").tobytes()
 
     def burst(self, counts: NDArray[np.uint16], counter: int, status: int) -> list[bytes]:

@@ -173,26 +173,25 @@ class Scanner:
         """Restore the state after power-on: no frame, counter at 0."""
         self.counter = 0xFFFF
         """Number of the last scan, modulo 65536."""
-        self.read_counter = 0
-        """Number of the scan in the last result of `last_frame`."""
         self.overrun = self.force_overrun = False
         """Whether the status of the next message reports that the previous one was late."""
         self.forces.reset()
-        self._counts: NDArray[np.uint16] | None = None
+        self.counts: NDArray[np.uint16] | None = None
+        """(n_taxels,) uint16: counts of the last frame; None before the first one."""
         self._gripping: NDArray[np.uint16] | None = None
 
     def frame_messages(self) -> list[bytes]:
         """Take a scan, the frame with the next counter, and return its burst."""
         faults = self._faults
-        if not faults.frozen or self._counts is None:
-            self._counts = faults.apply(self._world.scan(), self._layout.adc_max)
+        if not faults.frozen or self.counts is None:
+            self.counts = faults.apply(self._world.scan(), self._layout.adc_max)
         self.counter = (self.counter + 1) & 0xFFFF
-        saturated = int(self._counts.max()) >= self._layout.adc_max
+        saturated = int(self.counts.max()) >= self._layout.adc_max
         status = FrameStatus.SATURATED if saturated else FrameStatus(0)
         if self.overrun:
             status |= FrameStatus.OVERRUN
             self.overrun = False
-        return self.format.burst(self._counts, self.counter, status)
+        return self.format.burst(self.counts, self.counter, status)
 
     def force_message(self, period_s: float) -> bytes:
         """Scan the gripping pads and return their force message, one each ``period_s`` s."""
@@ -207,13 +206,3 @@ class Scanner:
         status = ForceStatus.OVERRUN if self.force_overrun else ForceStatus(0)
         self.force_overrun = False
         return force_bytes(faults.spoil(self.forces.message(gripping, status)))
-
-    def last_frame(self) -> bytes | None:
-        """Return the samples of the last frame in bus format; None before the first frame.
-
-        Scans continue during the upload: ``read_counter`` stays at this frame's number.
-        """
-        if self._counts is None:
-            return None
-        self.read_counter = self.counter
-        return self.format.samples(self._counts)

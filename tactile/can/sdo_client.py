@@ -29,8 +29,7 @@ _UPDATE = "the unit's firmware does not fit this software's EDS; update the olde
 _ATTEMPTS = 3
 """Number of attempts of a transfer without a response."""
 _MOST_SEGMENTS = 5000
-"""More than any object has. The longest one is the last frame of a control unit: 413 bytes for 408
-taxels."""
+"""More than any object has. The longest one is the table of a control unit: 518 bytes."""
 COB_SDO_RESPONSE = 0x580
 COB_SDO_REQUEST = 0x600
 """Identifiers of the pre-defined connection set (CiA 301, 7.3.5), without the node-ID."""

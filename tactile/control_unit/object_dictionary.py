@@ -39,10 +39,6 @@ FORCE_ZERO = "Zero and touch threshold of the force"
 """Names in the EDS of objects that several modules use."""
 PDO_INVALID = 1 << 31
 """Top bit of a PDO's COB-ID entry: the PDO is switched off."""
-TARE_DONE = 2
-"""Result of the unit's own tare: it is in use."""
-TARE_CLEAR_SIGNATURE = int.from_bytes(b"zero", "little")
-"""U32 for raw counts by a write to the tare's command."""
 
 
 @cache

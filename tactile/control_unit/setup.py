@@ -138,11 +138,7 @@ def refuse_mismatch(checks: list[Check], problem: str, advice: str = _CHECK_CONF
 
 
 def set_up(objects: PolledSdoClient, settings: LinkSettings) -> None:
-    """Write periods and mode, clear a zero of the unit, and read back all values.
-
-    The samples stay raw. The host applies the zero, because a zero in the unit clips noise at zero
-    counts and so biases it.
-    """
+    """Write the periods, and read them back."""
     numbers = {
         "COB-ID SYNC message": od.COB_SYNC,
         "Synchronous window length": round(settings.window_s * 1e6),
@@ -152,8 +148,6 @@ def set_up(objects: PolledSdoClient, settings: LinkSettings) -> None:
     for name, number in numbers.items():
         objects[name].raw = number
     refuse_mismatch(_checks(objects, numbers), "the control unit did not keep its set-up")
-    if objects["Tare.Result"].raw == od.TARE_DONE:
-        objects["Tare.Command"].raw = od.TARE_CLEAR_SIGNATURE
 
 
 def set_up_forces(

@@ -28,7 +28,6 @@ _EMERGENCY_TEXTS = {
     0xFF02: "a SYNC came while the burst before it was still being sent",
     0xFF03: "converter self-test failed",
     0xFF04: "multiplexer self-test failed",
-    0xFF05: "the stored zero is damaged",
     0x8110: "CAN overrun, messages lost",
     0x8120: "CAN error-passive",
     0x8130: "heartbeat or life guard error",
@@ -40,7 +39,7 @@ _EMERGENCY_TEXTS = {
     0x8240: "unexpected SYNC length",
     0x8250: "RPDO time-out",
 }
-"""Emergency codes with one meaning: FF01h to FF05h of the unit, and those of CiA 301, 7.2.7.1, that
+"""Emergency codes with one meaning: FF01h to FF04h of the unit, and those of CiA 301, 7.2.7.1, that
 canopen has only as groups."""
 
 _EMERGENCY_CODE_BYTES = 2

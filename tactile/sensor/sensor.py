@@ -162,7 +162,6 @@ class TactileSensor:
         self._frames.clear()
         self.tare_result: TareResult | None = None
         """The zero in use, None before the first tare after a start."""
-        self._tare_status = 0
         self._touch: ActiveTaxels | None = None
         self.latest: TactileReading | None = None
         """The newest reading of `poll`, None before; its ``t_s`` gives its age."""
@@ -277,7 +276,6 @@ class TactileSensor:
         result = compute_tare(self._hood, counts, self._settings, frames[n_frames - 1].t_s)
         self._frames.clear()
         self.tare_result = result
-        self._tare_status = frames[n_frames - 1].status
         least = self._settings.noise_share * self.layout.adc_max
         noise = typical_noise(self.layout, result.noise_counts, least)
         self._touch = ActiveTaxels(self._hood, noise / np.sqrt(self._settings.mean_frames))
@@ -452,8 +450,6 @@ class TactileSensor:
             return "not tared since the start"
         if frame.status & FrameStatus.CONVERTER_FAULT:
             return "the unit's converter failed its self-test"
-        if (frame.status ^ self._tare_status) & FrameStatus.TARED:
-            return "the unit has taken or dropped a zero of its own since the tare"
         if not self._mean_full:
             return "too few frames since the tare or the last gap"
         grip = self._full_scale(saturated) or self._too_many_bad(bad)

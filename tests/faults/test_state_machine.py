@@ -478,9 +478,8 @@ class Driver:
         scanner = self.simulated.unit.scanner
         if scanner.counter != self._counter:
             self._counter = scanner.counter
-            frame = scanner.last_frame()
-            if frame is not None:
-                self._scanned.add(frame)
+            if scanner.counts is not None:
+                self._scanned.add(scanner.format.samples(scanner.counts))
 
 
 # -- Whatever is asked and whatever fails, all invariants hold -------------------------------------

@@ -60,7 +60,7 @@ def frames(link: TactileLink, n: int) -> list[np.ndarray]:
     return received
 
 
-def test_whole_frames_and_the_same_by_sdo(link, unit) -> None:
+def test_whole_frames_come(link, unit) -> None:
     identity = link.start()
     assert (identity.serial, identity.product_code) == (77, 0x408)
     counts = frames(link, 12)
@@ -68,8 +68,6 @@ def test_whole_frames_and_the_same_by_sdo(link, unit) -> None:
     assert statistics.frames.lost == statistics.frames.torn == statistics.frames.corrupt == 0
     assert all(one.shape == (408,) for one in counts)
     assert any((a != b).any() for a, b in pairwise(counts))
-    assert len(link.objects["Last frame"].raw) == 408
-    assert link.objects["Counter of the last frame read"].raw >= 11
 
 
 def test_a_unit_that_dies_is_noticed(link, unit) -> None:

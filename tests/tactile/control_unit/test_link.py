@@ -245,12 +245,6 @@ def test_lost_sdo_responses_are_asked_for_again_and_hide_no_second_unit(idle) ->
         idle.link.start()
 
 
-def test_a_zero_held_by_the_unit_is_cleared(idle) -> None:
-    idle.unit.pretend("Tare.Result", od.TARE_DONE)
-    idle.link.start()
-    assert written(idle)[0x2130, 1] == od.TARE_CLEAR_SIGNATURE
-
-
 @pytest.mark.parametrize(("kind", "nodes"), [({}, (6,)), (FOREIGN[0], ()), (FOREIGN[1], ())])
 def test_a_search_finds_the_nodes_of_plain_messages_alone(idle, kind, nodes) -> None:
     idle.clock.on_advance.append(lambda _now_s: idle.put(0x706, b"", **kind))
