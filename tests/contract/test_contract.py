@@ -28,26 +28,8 @@ from cell.config.tactile import layout_from_config
 from cell.control.axes import drive_axes, si_per_unit
 from cell.simulation import simulation_of
 from gripper.clock import Clock
+from gripper.dynamixel import control_table as table
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.control_table import (
-    BUS_WATCHDOG,
-    CURRENT_LIMIT,
-    FIRMWARE_VERSION,
-    GOAL_CURRENT,
-    HARDWARE_ERROR_STATUS,
-    LED,
-    MODEL_NUMBER,
-    MOVING_THRESHOLD,
-    PRESENT_CURRENT,
-    PRESENT_POSITION,
-    PROFILE_ACCELERATION,
-    PROFILE_VELOCITY,
-    REGISTERS,
-    TORQUE_ENABLE,
-    WATCHDOG_TRIPPED_RAW,
-    Register,
-    RegisterBlock,
-)
 from gripper.dynamixel.models import MODELS, XM430_W350
 from gripper.dynamixel.protocol2 import ByteStream
 from gripper.errors import BusTimeout, ServoRejected
@@ -73,7 +55,7 @@ BOOT_S = 3.0
 POWER_UP_S = 0.2
 """The simulated unit has just got power and hears nothing before its first boot-up."""
 NMT_RESET_COMMUNICATION = 130
-EEPROM = [r for r in REGISTERS.values() if r.eeprom and r.name not in XM430_W350.absent]
+EEPROM = [r for r in table.REGISTERS.values() if r.eeprom and r.name not in XM430_W350.absent]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +92,7 @@ class Servos:
         return answer or None
 
     @contextmanager
-    def restoring(self, *registers: Register) -> Iterator[None]:
+    def restoring(self, *registers: table.Register) -> Iterator[None]:
         """Write back at the end what the registers held before."""
         before = {(i, r): self.bus.read(i, r) for i in self.ids for r in registers}
         try:
@@ -205,7 +187,7 @@ def servos(
         may_move=request.param == "simulator" or bench.options.allow_motion,
     )
     for servo_id in group.ids:
-        if bus.read(servo_id, TORQUE_ENABLE):
+        if bus.read(servo_id, table.TORQUE_ENABLE):
             pytest.fail(
                 f"servo {servo_id} holds torque, a part may be in the grip: nothing was "
                 "written. Release it on purpose (tactile-cell hand release --config FILE "
@@ -215,7 +197,7 @@ def servos(
     before = {i: [bus.read(i, r) for r in EEPROM] for i in group.ids}
     yield group
     assert {i: [bus.read(i, r) for r in EEPROM] for i in group.ids} == before
-    assert not any(bus.read(i, TORQUE_ENABLE) for i in group.ids)
+    assert not any(bus.read(i, table.TORQUE_ENABLE) for i in group.ids)
 
 
 @pytest.fixture
@@ -227,7 +209,7 @@ def moving_servos(servos: Servos) -> Iterator[Servos]:
         yield servos
     finally:
         for servo_id in servos.ids:
-            servos.bus.write(servo_id, TORQUE_ENABLE, 0)
+            servos.bus.write(servo_id, table.TORQUE_ENABLE, 0)
 
 
 @pytest.fixture
@@ -348,8 +330,8 @@ def test_ping_tells_model_and_firmware_as_the_registers_do(servos: Any) -> None:
     for servo_id in servos.ids:
         answer = servos.bus.ping(servo_id)
         assert answer.model_number in {model.number for model in MODELS.values()}
-        assert answer.model_number == servos.bus.read(servo_id, MODEL_NUMBER)
-        assert answer.firmware == servos.bus.read(servo_id, FIRMWARE_VERSION)
+        assert answer.model_number == servos.bus.read(servo_id, table.MODEL_NUMBER)
+        assert answer.firmware == servos.bus.read(servo_id, table.FIRMWARE_VERSION)
 
 
 def test_nobody_answers_for_an_absent_servo(servos: Any) -> None:
@@ -359,21 +341,21 @@ def test_nobody_answers_for_an_absent_servo(servos: Any) -> None:
 
 
 def test_what_is_written_is_read_back(servos: Any) -> None:
-    with servos.restoring(LED, PROFILE_VELOCITY):
+    with servos.restoring(table.LED, table.PROFILE_VELOCITY):
         for raw in (0, 1):
-            servos.bus.write(servos.one, LED, raw)
-            assert servos.bus.read(servos.one, LED) == raw
+            servos.bus.write(servos.one, table.LED, raw)
+            assert servos.bus.read(servos.one, table.LED) == raw
         for raw in (1, 255, 256, 32767):
-            servos.bus.write(servos.one, PROFILE_VELOCITY, raw)
-            assert servos.bus.read(servos.one, PROFILE_VELOCITY) == raw
+            servos.bus.write(servos.one, table.PROFILE_VELOCITY, raw)
+            assert servos.bus.read(servos.one, table.PROFILE_VELOCITY) == raw
 
 
 def test_a_sync_read_tells_what_single_reads_tell(servos: Any) -> None:
-    with servos.restoring(PROFILE_ACCELERATION, PROFILE_VELOCITY):
+    with servos.restoring(table.PROFILE_ACCELERATION, table.PROFILE_VELOCITY):
         for servo_id in servos.ids:
-            servos.bus.write(servo_id, PROFILE_VELOCITY, 100 + servo_id)
+            servos.bus.write(servo_id, table.PROFILE_VELOCITY, 100 + servo_id)
         answer = servos.bus.sync_read(
-            servos.ids, RegisterBlock(PROFILE_ACCELERATION, PROFILE_VELOCITY)
+            servos.ids, table.RegisterBlock(table.PROFILE_ACCELERATION, table.PROFILE_VELOCITY)
         )
         assert list(answer) == list(servos.ids)
         for servo_id in servos.ids:
@@ -382,7 +364,7 @@ def test_a_sync_read_tells_what_single_reads_tell(servos: Any) -> None:
 
 def test_present_values_are_plausible_at_rest(servos: Any) -> None:
     answer = servos.bus.sync_read(
-        servos.ids, RegisterBlock.between(PRESENT_CURRENT, PRESENT_POSITION)
+        servos.ids, table.RegisterBlock.between(table.PRESENT_CURRENT, table.PRESENT_POSITION)
     )
     for values in answer.values():
         assert abs(values["present_current"]) < 20
@@ -391,29 +373,31 @@ def test_present_values_are_plausible_at_rest(servos: Any) -> None:
 
 def test_a_sync_read_with_an_absent_servo_gives_nothing(servos: Any) -> None:
     with pytest.raises(BusTimeout, match=str(servos.nobody)):
-        servos.bus.sync_read((servos.nobody, servos.one), RegisterBlock(LED))
-    assert servos.bus.sync_read((servos.one,), RegisterBlock(LED))
+        servos.bus.sync_read((servos.nobody, servos.one), table.RegisterBlock(table.LED))
+    assert servos.bus.sync_read((servos.one,), table.RegisterBlock(table.LED))
 
 
 def test_a_sync_write_reaches_all(servos: Any) -> None:
-    with servos.restoring(PROFILE_ACCELERATION, PROFILE_VELOCITY):
+    with servos.restoring(table.PROFILE_ACCELERATION, table.PROFILE_VELOCITY):
         wanted = {servo_id: (servo_id, 200 + servo_id) for servo_id in servos.ids}
-        servos.bus.sync_write(wanted, RegisterBlock(PROFILE_ACCELERATION, PROFILE_VELOCITY))
+        servos.bus.sync_write(
+            wanted, table.RegisterBlock(table.PROFILE_ACCELERATION, table.PROFILE_VELOCITY)
+        )
         for servo_id, (acceleration, velocity) in wanted.items():
-            assert servos.bus.read(servo_id, PROFILE_ACCELERATION) == acceleration
-            assert servos.bus.read(servo_id, PROFILE_VELOCITY) == velocity
+            assert servos.bus.read(servo_id, table.PROFILE_ACCELERATION) == acceleration
+            assert servos.bus.read(servo_id, table.PROFILE_VELOCITY) == velocity
 
 
 def test_a_damaged_packet_is_refused_or_ignored_and_never_carried_out(servos: Any) -> None:
-    with servos.restoring(LED):
-        servos.bus.write(servos.one, LED, 0)
+    with servos.restoring(table.LED):
+        servos.bus.write(servos.one, table.LED, 0)
         for damage in (0x0001, 0x8000, 0xFFFF):
             answer = servos.exchange(WRITE, LED_ON, damage=damage)
             if answer is not None:
                 assert error_of(answer) == RESULT_CRC
-            assert servos.bus.read(servos.one, LED) == 0
+            assert servos.bus.read(servos.one, table.LED) == 0
         assert error_of(servos.exchange(WRITE, LED_ON)) == 0
-        assert servos.bus.read(servos.one, LED) == 1
+        assert servos.bus.read(servos.one, table.LED) == 1
 
 
 def test_stuffed_parameters_are_understood(servos: Any) -> None:
@@ -421,7 +405,7 @@ def test_stuffed_parameters_are_understood(servos: Any) -> None:
     # A servo that did not remove the stuffing would read from elsewhere, or stay silent.
     answer = servos.exchange(READ, b"\xff\xff\xfd\xfd\x00")
     assert error_of(answer) != 0
-    assert servos.bus.read(servos.one, MODEL_NUMBER)
+    assert servos.bus.read(servos.one, table.MODEL_NUMBER)
 
 
 def test_an_unknown_instruction_is_refused(servos: Any) -> None:
@@ -429,12 +413,12 @@ def test_an_unknown_instruction_is_refused(servos: Any) -> None:
 
 
 def test_what_is_refused_changes_nothing(servos: Any) -> None:
-    limit = servos.bus.read(servos.one, CURRENT_LIMIT)
+    limit = servos.bus.read(servos.one, table.CURRENT_LIMIT)
     for item, change, raw, result in (
-        (LED, {}, 2, RESULT_RANGE),
-        (GOAL_CURRENT, {}, limit + 1, RESULT_LIMIT),
-        (HARDWARE_ERROR_STATUS, {"writable": True}, 0, RESULT_ACCESS),
-        (PROFILE_VELOCITY, {"size": 1}, 1, RESULT_LENGTH),
+        (table.LED, {}, 2, RESULT_RANGE),
+        (table.GOAL_CURRENT, {}, limit + 1, RESULT_LIMIT),
+        (table.HARDWARE_ERROR_STATUS, {"writable": True}, 0, RESULT_ACCESS),
+        (table.PROFILE_VELOCITY, {"size": 1}, 1, RESULT_LENGTH),
     ):
         before = servos.bus.read(servos.one, item)
         assert refusal(servos, replace(item, **change), raw) == result, item.name
@@ -442,35 +426,35 @@ def test_what_is_refused_changes_nothing(servos: Any) -> None:
 
 
 def test_the_watchdog_of_a_servo_without_torque_does_not_trip(servos: Any) -> None:
-    with servos.restoring(BUS_WATCHDOG):
-        servos.bus.write(servos.one, BUS_WATCHDOG, 5)
+    with servos.restoring(table.BUS_WATCHDOG):
+        servos.bus.write(servos.one, table.BUS_WATCHDOG, 5)
         servos.clock.sleep(0.3)
-        assert servos.bus.read(servos.one, BUS_WATCHDOG) == 5
+        assert servos.bus.read(servos.one, table.BUS_WATCHDOG) == 5
 
 
 def test_the_watchdog_trips_with_torque_and_refuses_goals_until_it_is_cleared(
     moving_servos: Any,
 ) -> None:
     servos = moving_servos
-    goal = servos.bus.read(servos.one, GOAL_CURRENT)
-    servos.bus.write(servos.one, TORQUE_ENABLE, 1)
-    servos.bus.write(servos.one, BUS_WATCHDOG, 5)
+    goal = servos.bus.read(servos.one, table.GOAL_CURRENT)
+    servos.bus.write(servos.one, table.TORQUE_ENABLE, 1)
+    servos.bus.write(servos.one, table.BUS_WATCHDOG, 5)
     servos.clock.sleep(0.3)
-    assert servos.bus.read(servos.one, BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW
-    assert refusal(servos, GOAL_CURRENT, goal) == RESULT_RANGE
-    servos.bus.write(servos.one, BUS_WATCHDOG, 0)
-    servos.bus.write(servos.one, GOAL_CURRENT, goal)
-    assert servos.bus.read(servos.one, BUS_WATCHDOG) == 0
+    assert servos.bus.read(servos.one, table.BUS_WATCHDOG) == table.WATCHDOG_TRIPPED_RAW
+    assert refusal(servos, table.GOAL_CURRENT, goal) == RESULT_RANGE
+    servos.bus.write(servos.one, table.BUS_WATCHDOG, 0)
+    servos.bus.write(servos.one, table.GOAL_CURRENT, goal)
+    assert servos.bus.read(servos.one, table.BUS_WATCHDOG) == 0
 
 
 def test_eeprom_is_writable_without_torque_only(moving_servos: Any) -> None:
     servos = moving_servos
-    before = servos.bus.read(servos.one, MOVING_THRESHOLD)
-    servos.bus.write(servos.one, MOVING_THRESHOLD, before)
-    servos.bus.write(servos.one, TORQUE_ENABLE, 1)
-    assert refusal(servos, MOVING_THRESHOLD, before) == RESULT_ACCESS
-    servos.bus.write(servos.one, TORQUE_ENABLE, 0)
-    servos.bus.write(servos.one, MOVING_THRESHOLD, before)
+    before = servos.bus.read(servos.one, table.MOVING_THRESHOLD)
+    servos.bus.write(servos.one, table.MOVING_THRESHOLD, before)
+    servos.bus.write(servos.one, table.TORQUE_ENABLE, 1)
+    assert refusal(servos, table.MOVING_THRESHOLD, before) == RESULT_ACCESS
+    servos.bus.write(servos.one, table.TORQUE_ENABLE, 0)
+    servos.bus.write(servos.one, table.MOVING_THRESHOLD, before)
 
 
 # -- What the tactile control unit does on its bus, simulated or real (its EDS, CiA 301) -----------

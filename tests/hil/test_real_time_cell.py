@@ -1,7 +1,6 @@
 """The program against a simulated cell in another process: real time, pseudo-terminals."""
 
 import contextlib
-import json
 import signal
 from collections.abc import Callable
 from math import radians
@@ -31,69 +30,27 @@ def simulator(free_machine: None, cell_process: Callable[..., CellProcess]) -> C
     return one
 
 
-def only(folder: Path, pattern: str) -> Path:
-    (path,) = folder.glob(pattern)
-    return path
-
-
-def teaching(simulator: CellProcess, folder: Path, n: int = 50, *more: object) -> tuple[Any, ...]:
+def teaching(simulator: CellProcess, folder: Path) -> tuple[Any, ...]:
     """Return the command that teaches the box, with its files in a folder."""
-    command = ("teach", "box", "-n", n, "--config", simulator.config_path, *more)
+    command = ("teach", "box", "-n", 50, "--config", simulator.config_path)
     return (*command, "-o", folder / "d.npz", "--out", folder / "out")
 
 
-@pytest.mark.long
-def test_the_program_teaches_and_identifies_over_real_ports(simulator, tmp_path) -> None:
-    config = load_config(simulator.config_path)
-    assert not config.simulated
-    assert config.gripper.port == simulator.servo_port
-    report, out = tmp_path / "run.json", ("--out", tmp_path / "out")
-    assert "pads meet at " in run("hand", "zero", "--config", simulator.config_path, *out)
-    run(
-        *("run", "--config", simulator.config_path, "--object", "box", "--teach", 3, "--trials", 1),
-        *(*out, "--json", report),
-    )
-    data = json.loads(report.read_text())
-    assert (data["n_taught"], data["n_trials"]) == (3, 1)
-    health = data["health"]
-    assert health["tactile"]["complete"] > 100
-    assert health["servo_bus"]["transactions"] > 500
-    assert health["recording"] is None
-    recording = read_recording(data["recording"])
-    assert recording.complete
-    assert len(recording.grasps) == 4
-    assert Path(data["report"]).is_file()
-    state = simulator.ask(state=True)
-    assert state["placed"] == "box"
-    assert min(state["contact_force_n"]) == 0.0
-    assert "fail" not in run("doctor", "--config", simulator.config_path)
-
-
 def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(simulator, tmp_path) -> None:
-    report = tmp_path / "ended.json"
-
     def interrupt(client: Any) -> None:
         simulator.wait_for_grip(2.4)
         client.send_signal(signal.SIGINT)
 
-    command = teaching(simulator, tmp_path, 50, "--json", report)
-    said = run(*command, code=1, meanwhile=interrupt)
+    said = run(*teaching(simulator, tmp_path), code=1, meanwhile=interrupt)
     assert "the grip is kept until it is released on purpose. Recording so far: " in said
     assert "Traceback" not in said
     assert "Force loop: " in said
-    recording = read_recording(only(tmp_path / "out", "teach-*/recording.mcap"))
-    assert recording.complete
-    assert len(recording.frames) > 10
-    assert [e["kind"] for e in recording.events if e["kind"] not in ("note", "job")] == ["held"]
-    ended = json.loads(report.read_text())
-    assert "grip is kept" in ended["ended_early"]
-    loop = ended["health"]["loop"]
-    assert recording.statistics[-1]["cycles"] == loop["cycles"] > 50
-    assert loop["lateness_p99_s"] > 0.0
+    (recording,) = (tmp_path / "out").glob("teach-*/recording.mcap")
+    assert read_recording(recording).complete
     held_n = simulator.grip_n()
     assert held_n > 0.8
 
-    said = run(*teaching(simulator, tmp_path, 20), code=1)
+    said = run(*teaching(simulator, tmp_path), code=1)
     assert "a part may be in the grip; nothing was moved" in said
     assert "tactile-cell hand release" in said
     assert simulator.grip_n() == pytest.approx(held_n, abs=0.5)

@@ -24,7 +24,7 @@ from cell.control.states import CellState
 from cell.errors import CellStateError, PositionerError, PositionerFault
 from gripper.values.state import GripperPhase
 from tests.cell.conftest import MakeBench, once, quick_config
-from tests.faults.campaign import CHANGES
+from tests.faults.campaign import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 from tests.values import raising
 
 POSE = Pose(x_m=1e-3, rotation_rad=1.0)
@@ -131,7 +131,10 @@ AWAY = Pose(x_m=2e-3, rotation_rad=radians(30.0), roll_rad=radians(40.0))
 
 @pytest.fixture
 def config() -> CellConfig:
-    return quick_config(**{path.replace(".", "__"): value for path, value in CHANGES.items()})
+    """The axes of the fault campaign; the one along x needs no way to find its home."""
+    axes = [X_AXIS | {"homing": "here", "home": 0.0}, ROTATION_AXIS, WRIST]
+    changes = CHANGES | {"positioner": {"kind": "axes", "axes": axes}}
+    return quick_config(**{path.replace(".", "__"): value for path, value in changes.items()})
 
 
 @pytest.fixture

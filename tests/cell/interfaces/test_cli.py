@@ -24,20 +24,9 @@ from cell.config.file import changed_config, config_text, load_config, schema_te
 from cell.config.model import CellConfig
 from cell.control.records import GraspRecord
 from cell.errors import ConfigError, RecordingError
-from cell.interfaces.cli import main
+from cell.interfaces.cli import main, terminal
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands.run import confusion_table, result_lines
-from cell.interfaces.cli.terminal import (
-    ask,
-    percent,
-    print_cell,
-    print_error,
-    print_line,
-    print_note,
-    print_table,
-    progress_bar,
-    show,
-)
 from cell.learning.model import load_model, save_model
 from cell.learning.training import train
 from cell.recording import sink
@@ -143,7 +132,7 @@ def test_tables_lose_nothing_on_narrow_terminals_and_in_pipes(monkeypatch, width
     monkeypatch.setattr("cell.interfaces.cli.terminal.out", console)
     labels = ("long_name", "a_longer_name", "the_longest_name")
     assert len(confusion_table(labels, [[9, 0, 0], [0, 10, 0], [0, 2, 8]]).columns) == 4
-    print_table(confusion_table(labels, [[9, 0, 0, 1], [0, 10, 0, 0], [0, 2, 8, 0]]))
+    terminal.print_table(confusion_table(labels, [[9, 0, 0, 1], [0, 10, 0, 0], [0, 2, 8, 0]]))
     text = console.file.getvalue()  # type: ignore[attr-defined]
     assert "…" not in text
     assert all(label in text for label in labels)
@@ -156,7 +145,7 @@ def test_the_paper_is_put_beside_its_five_objects(taught, capsys) -> None:
     labels = ("box", "ball", "oval", "cylinder", "dumbbell")
     right = score("", labels, labels, labels)
     scores = dict.fromkeys(("force_ramp", "level_check"), right)
-    show(result_lines(replace(taught.result, labels=labels, scores=scores), {}))
+    terminal.show(result_lines(replace(taught.result, labels=labels, scores=scores), {}))
     lines = capsys.readouterr().out.splitlines()
     assert "its Table 1): 48 of 50 right" in lines[0]
     assert "  ball: ball 90, cylinder 10" in lines
@@ -205,7 +194,7 @@ def test_identify_on_the_cell(config, model, tmp_path, monkeypatch) -> None:
     assert (data["label"], data["presented"], data["in_grip"]) == ("box", "box", True)
     assert "the part was kept until the simulated cell ended" in text
     assert set(data["probabilities"]) == {"ball", "box", UNKNOWN}
-    assert f"answer: box {percent(data['probabilities']['box'])}" in text
+    assert f"answer: box {terminal.percent(data['probabilities']['box'])}" in text
     low, high = data["interval_mm"]
     size = f"{data['size_mm']:.1f} mm ({low:.1f} to {high:.1f})"
     assert f"; flat, {size}; ended early at 2.5 N\n" in text
@@ -322,14 +311,19 @@ def test_a_terminal_obeys_no_text_of_a_file(tmp_path, capsys, monkeypatch) -> No
     config.write_text('"\\e[2Jkey": 1\n', encoding="utf-8")
     with pytest.raises(ConfigError) as caught:
         load_config(config)
-    for print_one in (print_line, print_error, print_note, print_cell):
+    for print_one in (
+        terminal.print_line,
+        terminal.print_error,
+        terminal.print_note,
+        terminal.print_cell,
+    ):
         print_one(f"{caught.value}\r[bold] \u202e\x9b")
     text = "".join(capsys.readouterr())
     assert text.count("\\x1b[2Jkey: unknown key") == 4
     assert text.count("\\r[bold] \\u202e\\x9b") == 4
     assert not set("\x1b\r\u202e\x9b") & set(text)
     monkeypatch.setattr("builtins.input", str)
-    assert ask("place \x1b[2J") == "place \\x1b[2J"
+    assert terminal.ask("place \x1b[2J") == "place \\x1b[2J"
 
 
 def test_release_and_doctor_need_nobody_who_moves(config) -> None:
@@ -642,9 +636,9 @@ def test_an_interrupt_outside_a_sequence_is_one(monkeypatch, fail) -> None:
 def test_progress_and_complaints_end_no_job_when_the_terminal_is_gone(monkeypatch) -> None:
     with open("/dev/full", "w", buffering=1) as full:
         monkeypatch.setattr(sys, "stderr", full)
-        print_error("unheard")
-        print_note("unheard")
-        with progress_bar() as progress:
+        terminal.print_error("unheard")
+        terminal.print_note("unheard")
+        with terminal.progress_bar() as progress:
             for done in range(3):
                 progress("task", done, 2)
         monkeypatch.undo()

@@ -44,21 +44,18 @@ from recognition.recognizer import UNKNOWN, Posterior
 from recognition.recognizers import make_trainer
 from tests.cell.conftest import call, plain_grasp, small_config
 
-SPLIT = "chronological:0.6"
-
-
 # -- evaluate ------------------------------------------------------------------------------------
+
+
+def evaluated(grasps: Any, **changes: Any) -> Any:
+    options = {"split": "chronological:0.6", "names": ["force_ramp"], "progress": silent}
+    return evaluate_recognizers(grasps, **options | changes)
 
 
 def test_a_file_to_train_on_replaces_the_split(taught: Any) -> None:
     told: list[tuple[str, int, int]] = []
-    result = evaluate_recognizers(
-        taught.grasps[1:9],
-        train=taught.grasps,
-        split=SPLIT,
-        names=["force_ramp", "level_check"],
-        progress=lambda *step: told.append(step),
-    )
+    names, note = ["force_ramp", "level_check"], lambda *step: told.append(step)
+    result = evaluated(taught.grasps[1:9], train=taught.grasps, names=names, progress=note)
     assert (result.split, result.n_train, result.n_test) == ("separate files", 10, 8)
     force_ramp, level_check = result.recognizers.values()
     assert force_ramp.full.n == 8
@@ -69,21 +66,12 @@ def test_a_file_to_train_on_replaces_the_split(taught: Any) -> None:
 
 def test_virtual_grasps_of_a_drawing_test_nothing(taught: Any) -> None:
     first, *others = taught.grasps[1:9]
-    result = evaluate_recognizers(
-        [replace(first, source=DRAWING_SOURCE), *others],
-        train=taught.grasps,
-        split=SPLIT,
-        names=["level_check"],
-        progress=silent,
-    )
+    drawn = replace(first, source=DRAWING_SOURCE)
+    result = evaluated([drawn, *others], train=taught.grasps, names=["level_check"])
     assert result.n_test == len(others)
 
 
 def test_what_cannot_be_evaluated_says_why(taught: Any) -> None:
-    def evaluated(grasps: Any, **changes: Any) -> Any:
-        options = {"split": SPLIT, "names": ["force_ramp"], "progress": silent}
-        return evaluate_recognizers(grasps, **options | changes)
-
     with pytest.raises(CellError, match="not understood"):
         evaluated(taught.grasps, split="halves")
     with pytest.raises(CellError, match="has no label"):

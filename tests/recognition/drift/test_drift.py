@@ -29,7 +29,7 @@ from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import learn_rest
 from recognition.recognizers import make_trainer
 from tests.cell.archive.fleet import SIZES_MM, ramp
-from tests.recognition.conftest import accuracy, part
+from tests.recognition.conftest import accuracy
 
 
 @pytest.mark.parametrize(
@@ -244,12 +244,6 @@ def test_what_cannot_gauge_says_why(taught, fresh):
     missed = dataclasses.replace(fresh[0], counts=np.zeros_like(fresh[0].counts))
     with pytest.raises(ValueError, match="touched both pads"):
         taught.gauge("egg", [missed])
-
-
-def test_grasps_too_short_for_rest_and_load_teach_no_rest(train):
-    says = r"5 frames in the median, at least 6 .* from rest to load"
-    with pytest.raises(ValueError, match=says):
-        learn_rest([part(grasp, slice(5)) for grasp in train[:3]])
 
 
 # -- Self-zero from made-up frames -----------------------------------------------------------------

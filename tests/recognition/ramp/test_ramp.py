@@ -142,6 +142,8 @@ def test_gaps_in_the_opening_are_bridged_and_a_missing_one_stays_missing(rest, t
 def test_rest_refuses_what_it_cannot_learn_from(train):
     with pytest.raises(ValueError, match="no grasps"):
         learn_rest([])
+    with pytest.raises(ValueError, match=r"5 frames in the median, at least 6 .* from rest"):
+        learn_rest([part(grasp, slice(5)) for grasp in train[:3]])
     other = make_grasps(1, seed=0, pads=make_pads(shapes=((8, 6), (8, 6))))
     with pytest.raises(ValueError, match="different pads"):
         learn_rest([*train, *other])

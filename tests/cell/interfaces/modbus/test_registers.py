@@ -15,24 +15,7 @@ import pytest
 from cell.control.live import LiveValues
 from cell.control.plan import Pose
 from cell.errors import PositionerError
-from cell.interfaces.modbus.registers import (
-    ANSWER_IN_GRIP,
-    ANSWERED,
-    COMMAND,
-    COMMAND_SEQ,
-    DONE,
-    FAULT,
-    HOLDING,
-    LIFE,
-    NOT_MEASURED,
-    OLDEST_MS,
-    ON_HOLD,
-    READY,
-    REFUSED,
-    REMOTE,
-    RUNNING,
-    SIGNATURE,
-)
+from cell.interfaces.modbus import registers as reg
 from cell.service.service import RELEASE_KEY
 from tactile.errors import FrameTimeout
 from tests.cell.interfaces.hosts import BLOCK, BlockPlc, FunctionBlock, Plc
@@ -67,13 +50,16 @@ def text_of(inputs: list[int]) -> str:
 def test_signature_life_and_bits_have_their_registers(connect) -> None:
     _, plc = connect()
     inputs = plc.inputs()
-    assert (inputs[0], inputs[2]) == (SIGNATURE, READY)
+    assert (inputs[0], inputs[2]) == (reg.SIGNATURE, reg.READY)
     assert plc.inputs()[1] != inputs[1]  # the cell lives
     plc.adopt()
-    assert plc.inputs()[2] == READY | REMOTE
+    assert plc.inputs()[2] == reg.READY | reg.REMOTE
     assert plc.command(IDENTIFY, 0, 0, 0, KEEP) == 0
     inputs = plc.inputs()
-    assert (inputs[2], inputs[25]) == (REMOTE | DONE | HOLDING, ANSWERED | ANSWER_IN_GRIP)
+    assert (inputs[2], inputs[25]) == (
+        reg.REMOTE | reg.DONE | reg.HOLDING,
+        reg.ANSWERED | reg.ANSWER_IN_GRIP,
+    )
 
 
 def test_live_values_have_their_registers(connect) -> None:
@@ -81,9 +67,16 @@ def test_live_values_have_their_registers(connect) -> None:
     names = ("force_n", "force_age_s", "opening_mm", "temperature_c", "frame_age_s")
     for *values, registers in (
         (3.256, 0.0124, 9.53, 31.2, 0.0, [326, 953, 0, 31, 12]),
-        (None, 0.61, None, None, 0.41, [NOT_MEASURED, NOT_MEASURED, 410, NOT_MEASURED, 610]),
-        (0.0, None, 0.0, 0.0, None, [0, 0, OLDEST_MS, 0, OLDEST_MS]),
-        (3.0, 99.0, 40.0, 70.0, 99.0, [300, 4000, OLDEST_MS, 70, OLDEST_MS]),
+        (
+            None,
+            0.61,
+            None,
+            None,
+            0.41,
+            [reg.NOT_MEASURED, reg.NOT_MEASURED, 410, reg.NOT_MEASURED, 610],
+        ),
+        (0.0, None, 0.0, 0.0, None, [0, 0, reg.OLDEST_MS, 0, reg.OLDEST_MS]),
+        (3.0, 99.0, 40.0, 70.0, 99.0, [300, 4000, reg.OLDEST_MS, 70, reg.OLDEST_MS]),
     ):
         served.plugin.show_live(LiveValues(**dict(zip(names, values, strict=True))))
         inputs = plc.inputs()
@@ -97,10 +90,10 @@ def test_a_zeroed_or_stale_key_lets_nothing_go(connect) -> None:
     assert plc.command(VERIFY, 0, 0, 0, 0, RELEASE_KEY) == 0
     served.ended()
     plc.seq += 1
-    assert plc.write(COMMAND, RELEASE) == 0
-    assert plc.write(COMMAND_SEQ, plc.seq) == 0
+    assert plc.write(reg.COMMAND, RELEASE) == 0
+    assert plc.write(reg.COMMAND_SEQ, plc.seq) == 0
     assert plc.inputs()[6] == 513
-    assert plc.inputs()[2] & REFUSED
+    assert plc.inputs()[2] & reg.REFUSED
     # All outputs fall to zero, as when a PLC stops: its number is refused or runs nothing.
     plc.write(0, *[0] * 9)
     assert served.grip_n > 1.0
@@ -111,13 +104,13 @@ def test_a_command_runs_with_its_number_and_once(connect) -> None:
     served, plc = connect(adopt=True)
     assert plc.command(GRIP, 0, 300) == 0
     # Single writes, as a UR makes them: nothing runs before the number is written.
-    for address, value in ((COMMAND, RELEASE), (6, RELEASE_KEY)):
+    for address, value in ((reg.COMMAND, RELEASE), (6, RELEASE_KEY)):
         assert not plc.link.write_register(address, value).isError()
     assert plc.inputs()[8] == 1
     assert served.grip_n > 1.0
-    assert not plc.link.write_register(COMMAND_SEQ, 0xFFFF).isError()
+    assert not plc.link.write_register(reg.COMMAND_SEQ, 0xFFFF).isError()
     served.ended(2)
-    assert not plc.link.write_register(COMMAND_SEQ, 0xFFFF).isError()
+    assert not plc.link.write_register(reg.COMMAND_SEQ, 0xFFFF).isError()
     assert plc.inputs()[8] == 2
 
 
@@ -135,13 +128,13 @@ def test_who_commands_writes_the_secret_first_where_there_is_one(connect, tmp_pa
         assert not plc.link.write_register(address, word).isError()
     assert plc.link.read_holding_registers(32, count=1).exception_code == 2
     plc.adopt()
-    assert second.write(LIFE, 9) == 3
+    assert second.write(reg.LIFE, 9) == 3
     plc.link.close()
     # The lease that a closed connection has left is no way round it.
-    assert second.write(LIFE, 10) == 3
+    assert second.write(reg.LIFE, 10) == 3
     assert second.write(63, 0, 0) == 2
     assert second.write(32, *words, *[0] * 23) == 0
-    until(lambda: second.write(LIFE, 11) == 0)
+    until(lambda: second.write(reg.LIFE, 11) == 0)
     assert served.service.snapshot().commander
 
 
@@ -149,16 +142,16 @@ def test_a_frozen_life_counter_is_silence(connect) -> None:
     served, plc = connect(adopt=True)
     served.plugin.pause()
     assert plc.command(IDENTIFY) == 0
-    assert plc.inputs()[2] & RUNNING
+    assert plc.inputs()[2] & reg.RUNNING
     served.clock.now_s += 50.0
-    plc.write(LIFE, plc.life)  # written, but the same: the PLC's program stands
+    plc.write(reg.LIFE, plc.life)  # written, but the same: the PLC's program stands
     served.clock.now_s += 11.0
     served.service.lease.has(0)
     assert "was silent for 61.00 s" in served.ended().error
-    assert plc.inputs()[2:4] == [DONE | HOLDING, 11]
+    assert plc.inputs()[2:4] == [reg.DONE | reg.HOLDING, 11]
     # It goes on, and has to adopt the number again.
     assert plc.live() == 0
-    assert plc.write(COMMAND_SEQ, plc.seq + 1) == 3
+    assert plc.write(reg.COMMAND_SEQ, plc.seq + 1) == 3
 
 
 def test_the_hold_register_is_a_level_of_each_client(connect) -> None:
@@ -169,14 +162,14 @@ def test_the_hold_register_is_a_level_of_each_client(connect) -> None:
     levels = [one.link.read_holding_registers(7, count=1).registers for one in (plc, panel)]
     assert levels == [[0], [1]]
     inputs = plc.inputs()
-    assert inputs[2] == READY | REMOTE | ON_HOLD
+    assert inputs[2] == reg.READY | reg.REMOTE | reg.ON_HOLD
     assert text_of(inputs) == "on hold by Modbus 127.0.0.1"
     # A pressed button in the block of the client in command counts as well.
     plc.seq += 1
-    assert plc.write(COMMAND, IDENTIFY, 0, 0, 0, 0, 0, 1, plc.seq) == 0
+    assert plc.write(reg.COMMAND, IDENTIFY, 0, 0, 0, 0, 0, 1, plc.seq) == 0
     assert plc.inputs()[6] == 515
     assert panel.write(7, 0) == 0
-    assert plc.inputs()[2] & ON_HOLD
+    assert plc.inputs()[2] & reg.ON_HOLD
     assert plc.command(IDENTIFY) == 0  # its block has 0 in register 7
     # A block that is refused holds, too, also when its connection is gone.
     assert panel.write(0, 9, *[0] * 6, 1) == 6
@@ -190,7 +183,7 @@ def test_a_fault_has_its_bit_and_a_text_that_fits(connect) -> None:
     served, plc = connect()
     served.plugin.fail(FrameTimeout("no frame for 0.20 s; " + 60 * "x"))
     inputs = plc.inputs()
-    assert inputs[2] & (FAULT | READY) == FAULT
+    assert inputs[2] & (reg.FAULT | reg.READY) == reg.FAULT
     assert text_of(inputs).startswith("Check the sensor's line; tactile.loss_max_share ")
 
 
@@ -198,10 +191,10 @@ def test_the_last_refusal_has_number_and_text_on_each_connection(connect) -> Non
     served, plc = connect()
     _, second = connect(served)
     assert plc.refusal() == (0, "")
-    assert plc.write(COMMAND, GRIP) == 6
+    assert plc.write(reg.COMMAND, GRIP) == 6
     assert plc.refusal() == (514, "change register 0, the life counter, to get the lease")
     plc.adopt()
-    assert second.write(LIFE, 5) == 6
+    assert second.write(reg.LIFE, 5) == 6
     assert second.refusal() == (514, "Modbus 127.0.0.1 is in command; wait until it ends")
     for number, refusal, cause in (
         (99, 513, "command 99 is not one of ["),
@@ -392,7 +385,7 @@ def test_the_function_block_begins_anew_after_a_lost_connection(block) -> None:
 def test_the_counters_of_the_function_block_begin_anew_after_65535() -> None:
     block = FunctionBlock()
     block["Outputs"][0] = 65534
-    inputs = [SIGNATURE, 0, REMOTE, 4, 0, 65535, *[0] * 58]
+    inputs = [reg.SIGNATURE, 0, reg.REMOTE, 4, 0, 65535, *[0] * 58]
     for execute in (False, False, True):
         block.call(Enable=True, Connected=True, Execute=execute, Command=VERIFY, Inputs=inputs)
     assert (block["Outputs"][0], block["Outputs"][8], block["Busy"]) == (1, 0, True)
