@@ -24,7 +24,6 @@ from benchmarks.performance import servo_logs, soak
 from benchmarks.performance.servo_logs import Bench, Log, main, read_logs
 from benchmarks.recognition import comparators
 from cell.recording.dataset import write_dataset
-from docs.tools.pictures import TUTORIAL, today
 from gripper.dynamixel.models import XL330_M288, XM430_W350
 from recognition.features import PadGrid
 from recognition.quadric.algorithm import find_thresholds
@@ -389,6 +388,8 @@ def test_the_evaluation_of_today_prints_what_is_quoted() -> None:
 @pytest.mark.long
 @pytest.mark.timeout(900)
 def test_the_tutorial_shows_what_is_printed_today() -> None:
+    from docs.tools.pictures import TUTORIAL, today  # it loads a browser's driver
+
     page = TUTORIAL.read_text(encoding="utf-8")
     stored, new = (re.sub(r"\d{8}-\d{6}", "TIME", text) for text in (page, today(page)))
     assert new == stored

@@ -19,7 +19,6 @@ from cell.config.model import CellConfig
 from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.app import app
 from cell.simulation import simulator_settings
-from docs.tools.transcript import TRANSCRIPT, transcript
 from gripper.errors import PortLost
 from simulator.cell import SimulatedCell
 from tactile.layout import PadMount
@@ -271,5 +270,7 @@ def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path, m
 @pytest.mark.long
 def test_the_tutorial_shows_what_is_printed() -> None:
     """A cell of wrong hardware, from the box to the first force."""
+    from docs.tools.transcript import TRANSCRIPT, transcript
+
     _, stored = TRANSCRIPT.read_text("utf-8").split("\n", 1)
     assert transcript().split() == stored.split()

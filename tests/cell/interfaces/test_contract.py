@@ -3,7 +3,6 @@
 import asyncio
 import itertools
 import json
-import math
 import os
 import socket
 import struct
@@ -16,8 +15,8 @@ from typing import Any
 from unittest.mock import AsyncMock, MagicMock, Mock
 from xmlrpc.client import ServerProxy
 
-import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cell.config.model import CellConfig
 from cell.config.serve import ServeConfig
@@ -272,15 +271,9 @@ def test_no_two_values_or_commands_share_a_place_at_an_interface() -> None:
 def test_a_rotation_vector_rolls_first_then_turns(rotation: float, roll: float) -> None:
     pose = ur_pose(Pose(x_m=0.001, y_m=-0.002, rotation_rad=rotation, roll_rad=roll))
     assert (pose["x"], pose["y"], pose["z"]) == (0.001, -0.002, 0.0)
-    vector = np.array([pose["rx"], pose["ry"], pose["rz"]])
-    angle = float(np.linalg.norm(vector))
-    axis = vector / angle if angle else vector
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    turned = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
-    c, s, cr, sr = math.cos(rotation), math.sin(rotation), math.cos(roll), math.sin(roll)
-    about_z = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    np.testing.assert_allclose(turned, about_z @ about_x, atol=1e-12)
+    vector = Rotation.from_rotvec([pose["rx"], pose["ry"], pose["rz"]])
+    rolled_then_turned = Rotation.from_euler("xz", [roll, rotation])
+    assert vector.approx_equal(rolled_then_turned, atol=1e-12)
 
 
 # -- Opening the interfaces, who may connect, and the address that a browser opens -----------------
