@@ -1,7 +1,5 @@
 """Errors of the gripper: one small tree, each message names cause, value, limit and remedy."""
 
-from collections.abc import Sequence
-
 from gripper.values.servo_checks import VerificationReport, hardware_error_names
 
 _RESULT_CODES = {
@@ -84,11 +82,11 @@ class ServoFault(GripperError):
 class VerificationFailed(GripperError):
     """The servos do not match the settings; nothing has moved."""
 
-    def __init__(self, report: VerificationReport, failed: Sequence[str]) -> None:
+    def __init__(self, report: VerificationReport, *notes: str) -> None:
+        failed = "; ".join([*map(str, report.failed), *notes])
         super().__init__(
-            "the servos do not match the settings: "
-            + "; ".join(failed)
-            + ". Correct the settings or the servo, then start again"
+            f"the servos do not match the settings: {failed}. Correct the settings or the servo, "
+            f"then start again"
         )
         self.report = report
         """Expected against found, row by row."""

@@ -773,7 +773,7 @@ def _check_standing(rows: tuple[VerificationRow, ...]) -> None:
     """Raise VerificationFailed where a finger stands where the settings exclude it."""
     report = VerificationReport(rows=rows)
     if not report.ok:
-        raise VerificationFailed(report, [str(row) for row in report.failed])
+        raise VerificationFailed(report)
 
 
 def open_gripper(

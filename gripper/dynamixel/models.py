@@ -223,28 +223,27 @@ class ServoModel:
 
 _RPM = tau / 60.0
 """Speed in rad/s of one rev/min, as data sheets give it."""
-_TABLE = """
-                     XM430-W350 XM430-W210 XL330-M288 XC330-M288
-number               1020       1030       1200       1240
-current_unit_a       2.69e-3    2.69e-3    1e-3       1e-3
-current_limit_raw    1193       1193       1750       2352
-velocity_limit_raw   350        330        445        350
-temperature_limit_c  80         80         70         70
-min_voltage_raw      95         95         35         35
-max_voltage_raw      160        160        70         70
-shutdown_raw         52         52         53         52
-position_d_gain      4000       4000       1000       1500
-position_p_gain      800        800        1000       1000
-kt_nm_a              1.80       1.333      3.4/15     0.33
-friction_nm          0.09       0.067      0.2/15     0.025
-nominal_voltage_v    12.0       12.0       5.0        5.0
-stall_torque_nm      4.1        3.0        0.52       0.93
-stall_current_a      2.3        2.3        1.47       1.8
-holding_a            0.40       0.40       0.383      0.465
-peak_a               0.80       0.80       0.717      1.04
-no_load_rev_min      46         77         103        81
-rotor_inertia_kg_m2  0.006      0.0022     0.0022     0.0035
-"""
+_X_SERIES: Mapping[str, tuple[Any, ...]] = {
+    # XM430-W350, XM430-W210, XL330-M288, XC330-M288
+    "number": (1020, 1030, 1200, 1240),
+    "current_unit_a": (2.69e-3, 2.69e-3, 1e-3, 1e-3),
+    "current_limit_raw": (1193, 1193, 1750, 2352),
+    "velocity_limit_raw": (350, 330, 445, 350),
+    "temperature_limit_c": (80, 80, 70, 70),
+    "min_voltage_raw": (95, 95, 35, 35),
+    "max_voltage_raw": (160, 160, 70, 70),
+    "shutdown_raw": (52, 52, 53, 52),
+    "position_gains": ((4000, 0, 800), (4000, 0, 800), (1000, 0, 1000), (1500, 0, 1000)),
+    "kt_nm_a": (1.80, 1.333, 3.4 / 15, 0.33),
+    "friction_nm": (0.09, 0.067, 0.2 / 15, 0.025),
+    "nominal_voltage_v": (12.0, 12.0, 5.0, 5.0),
+    "stall_torque_nm": (4.1, 3.0, 0.52, 0.93),
+    "stall_current_a": (2.3, 2.3, 1.47, 1.8),
+    "holding_a": (0.40, 0.40, 0.383, 0.465),
+    "peak_a": (0.80, 0.80, 0.717, 1.04),
+    "no_load_rad_s": (46 * _RPM, 77 * _RPM, 103 * _RPM, 81 * _RPM),
+    "rotor_inertia_kg_m2": (0.006, 0.0022, 0.0022, 0.0035),
+}
 """The X series. Holding and peak current of the 330 size are 100 and 350 mA, and 120 and 600 mA, of
 the supply. Sources of kt and friction:
 
@@ -258,19 +257,10 @@ the supply. Sources of kt and friction:
 """
 
 
-def _of_the_table(name: str, **further: Any) -> ServoModel:
+def _of_the_table(column: int, name: str, **further: Any) -> ServoModel:
     """Return the model of a column, with further values."""
-    names, *rows = (line.split() for line in _TABLE.strip().splitlines())
-    values: dict[str, Any] = {}
-    for key, *texts in rows:
-        value, _, parts = texts[names.index(name)].partition("/")
-        number = float(value) if key.endswith(("_a", "_nm", "_v", "_m2", "_min")) else int(value)
-        values[key] = number / float(parts) if parts else number
-    gains = (values.pop("position_d_gain"), 0, values.pop("position_p_gain"))
-    no_load_rad_s = values.pop("no_load_rev_min") * _RPM
-    return ServoModel(
-        name=name, position_gains=gains, no_load_rad_s=no_load_rad_s, **values, **further
-    )
+    values = {key: row[column] for key, row in _X_SERIES.items()}
+    return ServoModel(name=name, **values, **further)
 
 
 _SIZE_330: Mapping[str, Any] = {
@@ -281,10 +271,10 @@ _SIZE_330: Mapping[str, Any] = {
     "profile_in_current_mode": False,
     "absent": _ABSENT - {"pwm_slope"},
 }
-XM430_W350 = _of_the_table("XM430-W350")
-XM430_W210 = _of_the_table("XM430-W210")
-XL330_M288 = _of_the_table("XL330-M288", **_SIZE_330)
-XC330_M288 = _of_the_table("XC330-M288", **_SIZE_330)
+XM430_W350 = _of_the_table(0, "XM430-W350")
+XM430_W210 = _of_the_table(1, "XM430-W210")
+XL330_M288 = _of_the_table(2, "XL330-M288", **_SIZE_330)
+XC330_M288 = _of_the_table(3, "XC330-M288", **_SIZE_330)
 
 RH_P12_RN_A = ServoModel(
     name="RH-P12-RN(A)",

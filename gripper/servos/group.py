@@ -384,9 +384,7 @@ class Servos:
         )
         if old := self._bus.scan_protocol_1(sorted({*silent, _FACTORY_ID})):
             advice = protocol_1_text(old)
-        raise ServoMissing(report, [*(str(row) for row in report.failed), advice]) from next(
-            iter(silent.values())
-        )
+        raise ServoMissing(report, advice) from next(iter(silent.values()))
 
     def verify(self, *, correct: bool, refuse: bool = False) -> VerificationReport:
         """Compare the registers of all servos with their requirements.
@@ -413,7 +411,7 @@ class Servos:
         if refuse and not report.ok:
             errors = [row for row in report.failed if row.item == HARDWARE_ERROR_STATUS.name]
             if len(errors) < len(report.failed):
-                raise VerificationFailed(report, [str(row) for row in report.failed])
+                raise VerificationFailed(report)
             raise ServoFault(
                 errors[0].servo_id,
                 int(errors[0].actual),
@@ -440,11 +438,8 @@ class Servos:
             self._bus.write(servo_id, BUS_WATCHDOG, 0)
             self._bus.write(servo_id, TORQUE_ENABLE, 0)
         report = self.verify(correct=True)
-        wrong = [str(row) for row in report.failed if row.item != HARDWARE_ERROR_STATUS.name]
-        if wrong:
-            raise VerificationFailed(
-                report, [*wrong, "the torque is off now and the fingers did not open"]
-            )
+        if any(row.item != HARDWARE_ERROR_STATUS.name for row in report.failed):
+            raise VerificationFailed(report, "the torque is off now and the fingers did not open")
 
     def end_release(self) -> None:
         """End the acceptance of errors of servos."""

@@ -434,8 +434,7 @@ ERRORS = [
     VerificationFailed(
         VerificationReport(
             rows=(VerificationRow(servo_id=1, item="x", expected="1", actual="2", ok=False),)
-        ),
-        ["servo 1 x: expected 1, found 2"],
+        )
     ),
     GraspStopped("stopped on request"),
     CellStopped("stopped"),
