@@ -725,13 +725,14 @@ class Gripper:
         )
         one._link_checked = self._link_checked
         self._servos.forget()
+        self._life.phase, self._life.running = GripperPhase.RELEASING, True
         try:
-            with self._life.delegated(GripperPhase.RELEASING, one._life):
-                state = one.release(observer).state
-                with suppress(GripperError):
-                    one._servos.switch_off()
+            state = one.release(observer).state
+            with suppress(GripperError):
+                one._servos.switch_off()
         finally:
-            self._one = None
+            self._one, self._life.running = None, False
+            self._life.take_over(one._life)
         self._life.switched_off()
         return ReleaseReport(state=state, opened=(servo_id,), left=(left,))
 

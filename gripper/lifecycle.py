@@ -176,27 +176,10 @@ class Lifecycle:
             self.running = False
             self._runner.observer = None
 
-    @contextmanager
-    def delegated(self, phase: GripperPhase, carrier: "Lifecycle") -> Iterator[None]:
-        """Run a command of a gripper with some of the servos, and take over its fault.
-
-        That gripper has responded to the fault already: nothing is written here.
-        """
-        self._runner.stop_request.clear()
-        self.phase = phase
-        self.running = True
-        try:
-            yield
-        except GraspStopped:
-            self.rest()
-            raise
-        except BaseException as error:
-            self.fault = error
-            self.phase = GripperPhase.HELD_AFTER_FAULT
-            self.motion_unconfirmed = carrier.motion_unconfirmed
-            raise
-        finally:
-            self.running = False
+    def take_over(self, carrier: "Lifecycle") -> None:
+        """Take over the fault of a gripper with some of the servos, which has responded to it."""
+        self.fault, self.motion_unconfirmed = carrier.fault, carrier.motion_unconfirmed
+        self.rest()
 
     def latch(self, error: BaseException) -> None:
         """Latch an error as a fault, and keep the grip."""

@@ -581,6 +581,24 @@ def test_a_release_of_one_finger_can_be_stopped_and_ended_later(make_cell) -> No
     assert cell.mechanics.finger_position_m[1] == pytest.approx(0.02, abs=0.001)
 
 
+def test_a_fault_while_one_finger_opens_is_that_of_the_gripper(make_cell) -> None:
+    cell = make_cell(aperture_open_m=0.04)
+    gripper = held_by_one(cell)
+
+    def observe(cycle) -> None:
+        assert gripper.phase is GripperPhase.RELEASING
+        if cycle.state.aperture_velocity_m_s > 0.01:
+            gripper.request_stop()
+            cell.bus.sync_write = lambda *_a, **_k: None
+
+    with pytest.raises(ServoFault, match="did not take the goal to stand still") as caught:
+        gripper.release(observe)
+    assert gripper.fault is caught.value
+    assert gripper.phase is GripperPhase.HELD_AFTER_FAULT
+    gripper.keep_grip()
+    assert cell.register(1, "bus_watchdog") == 10, "it alone stops the finger"
+
+
 def test_a_release_closes_no_finger_that_stands_wide_open(make_started) -> None:
     cell = make_started(aperture_m=0.07, aperture_open_m=0.018, force_max_n=9.0, present=False)
     assert cell.gripper.release().state.aperture_m == pytest.approx(0.07, abs=0.002)
