@@ -67,7 +67,9 @@ class ServoRejected(GripperError):
 class ServoFault(GripperError):
     """A servo reports a hardware error, has rebooted or lost its torque."""
 
-    def __init__(self, servo_id: int, bits: int, detail: str, *, torque_lost: bool = False) -> None:
+    def __init__(
+        self, servo_id: int, detail: str, *, bits: int = 0, torque_lost: bool = False
+    ) -> None:
         names = ", ".join(hardware_error_names(bits)) or "no hardware error bit"
         super().__init__(
             f"servo {servo_id}: {detail} (Hardware Error Status 0x{bits:02X}: {names})"

@@ -592,10 +592,10 @@ class Gripper:
             if condition.error_bits:
                 raise ServoFault(
                     condition.servo_id,
-                    condition.error_bits,
                     "the error lasts after a reboot: remedy its cause, then clear it again"
                     if reboot
                     else "the error lasts: remedy its cause, then clear it with a reboot",
+                    bits=condition.error_bits,
                 )
         self._free.distrust()
         self._life.fault = None
@@ -750,9 +750,9 @@ class Gripper:
             limp = next(condition for condition in conditions if condition.answers)
             raise ServoFault(
                 limp.servo_id,
-                limp.error_bits,
                 f"no finger can be opened: {'; '.join(map(str, conditions))}. Take the part out "
                 f"by hand, or remedy the cause, clear the error with a reboot and release again",
+                bits=limp.error_bits,
             )
         if not self._link_checked:
             self._check_link(able)

@@ -202,7 +202,7 @@ class Lifecycle:
         if not unconfirmed:
             self._note_fingers(stop, self.phase, FingersLeft.STOPPED)
             return
-        error = ServoFault(unconfirmed[0], 0, "it did not take the goal to stand still")
+        error = ServoFault(unconfirmed[0], "it did not take the goal to stand still")
         self._note_fingers(error, self.phase, FingersLeft.UNCONFIRMED)
         self.fault, self.motion_unconfirmed = error, True
         self.phase = GripperPhase.HELD_AFTER_FAULT

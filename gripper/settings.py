@@ -89,7 +89,6 @@ class ServoSettings:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "servo_model", require_current_control(self.model))
-        check_settings(self)
         drive = self.measured or DriveCharacteristic.catalogue(self.servo_model)
         object.__setattr__(self, "drive", drive)
         if not 0 <= self.servo_id <= 252:

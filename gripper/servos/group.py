@@ -100,7 +100,7 @@ class Servos:
         """Reader of the feedback, with the last one."""
         self.notes: list[str] = []
         """Warnings of servos that were not yet fetched."""
-        self._polls = self._polled_items = 0
+        self._polls = 0
         self._accepted: dict[int, int] = {}
         self._overloaded: set[int] = set()
 
@@ -238,7 +238,6 @@ class Servos:
             if part_possible and not releasing:
                 raise ServoFault(
                     self._ids[0],
-                    0,
                     "the bus watchdog has tripped while a part was held, because nobody called "
                     "tick; the servos have stopped, the part may still be gripped",
                 )
@@ -414,9 +413,9 @@ class Servos:
                 raise VerificationFailed(report)
             raise ServoFault(
                 errors[0].servo_id,
-                int(errors[0].actual),
                 "it reports a hardware error from before the start and nothing has moved; remedy "
                 "its cause, then clear it with a reboot",
+                bits=int(errors[0].actual),
                 torque_lost=True,
             )
         return report
@@ -481,35 +480,33 @@ class Servos:
             # A reported overload keeps the alert on: it is read again in turn only.
             if servo.alert and servo.servo_id not in self._overloaded:
                 self._check_hardware(servo.servo_id)
-        index, check = divmod(self._polls, _CHECKS)
-        self._polls = (self._polls + 1) % (_CHECKS * len(self._ids))
+        turn, check = divmod(self._polls, _CHECKS)
+        n_rounds, index = divmod(turn, len(self._ids))
+        self._polls += 1
         if check == 0:
             self.check_torque(self._ids[index])
             if self._ids[index] in self._overloaded:
                 self._check_hardware(self._ids[index])
         elif check == 1:
-            self._check_register(index)
+            self._check_register(index, n_rounds)
         elif watchdog and self._bus.read(self._ids[index], BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW:
             raise ServoFault(
                 self._ids[index],
-                0,
                 "its bus watchdog has tripped because the loop fell silent; the servo has "
                 "stopped, a part may still be gripped",
             )
 
-    def _check_register(self, index: int) -> None:
+    def _check_register(self, index: int, n_rounds: int) -> None:
         """Read the next register that was verified at the start; all of them in turn."""
         servo = self._settings.servos[index]
         required = self._required(servo)
-        item = required[self._polled_items // len(self._ids) % len(required)]
-        self._polled_items += 1
+        item = required[n_rounds % len(required)]
         if item.item == HARDWARE_ERROR_STATUS.name:
             return
         raw = self._bus.read(servo.servo_id, REGISTERS[item.item])
         if not item.met_by(raw):
             raise ServoFault(
                 servo.servo_id,
-                0,
                 f"its register {item.item} has changed since the start: expected "
                 f"{item.expected}, found {raw}. Somebody else writes to this servo, or it has "
                 f"restarted; the goals are frozen",
@@ -535,7 +532,7 @@ class Servos:
                 if lost
                 else "it reports a hardware error and still has its torque"
             )
-            raise ServoFault(servo_id, bits, detail, torque_lost=lost)
+            raise ServoFault(servo_id, detail, bits=bits, torque_lost=lost)
 
     def check_torque(self, servo_id: int) -> None:
         """Raise ServoFault when a servo has lost its torque."""
@@ -543,9 +540,9 @@ class Servos:
             bits = self._bus.read(servo_id, HARDWARE_ERROR_STATUS)
             raise ServoFault(
                 servo_id,
-                bits,
                 "its torque is off although it was not switched off here: a reboot, a shutdown, "
                 "or another program on the bus",
+                bits=bits,
                 torque_lost=True,
             )
 
@@ -601,7 +598,6 @@ class Servos:
             if self._bus.read(servo_id, OPERATING_MODE) != OperatingMode.CURRENT_BASED_POSITION:
                 raise ServoFault(
                     servo_id,
-                    0,
                     "its operating mode is no longer 5 (current-based position): it restarted, or "
                     "another program wrote to it. Clear the fault, then reset",
                 )
@@ -638,7 +634,6 @@ class Servos:
                 if (read_raw := goals_raw[servo_id][name]) != raw:
                     return ServoFault(
                         servo_id,
-                        0,
                         f"it did not take its {name}: wrote {raw}, read {read_raw}; check the "
                         f"servo line, then clear the fault",
                     )

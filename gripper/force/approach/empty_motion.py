@@ -213,7 +213,6 @@ class MoveTo:
             slowest = next(finger for finger in self._fingers if not finger.there)
             raise ServoFault(
                 slowest.servo.servo_id,
-                0,
                 f"its finger is stuck: the gripper stands at "
                 f"{moment.state.aperture_m * 1e3:.1f} mm on its way to "
                 f"{self._aperture_m * 1e3:.1f} mm; if nothing blocks it, check "

@@ -175,7 +175,6 @@ class FreeMotion:
         if fitted.breakaway_a > _WORN * usual_a:
             raise ServoFault(
                 servo_id,
-                0,
                 f"its free motion takes {fitted.breakaway_a:.3f} A, {usual_a:.3f} A are usual for "
                 f"a {model.name}: {_cause(_WORN, 0.0)}. Free the finger, or change "
                 f"the servo; then clear the fault, release and start",

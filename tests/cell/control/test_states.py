@@ -235,14 +235,17 @@ def test_a_grip_that_cannot_be_confirmed_does_not_hide_the_fault() -> None:
     unplugged = raising(BusTimeout("the cable is out"))
     life = life_of(CellState.EXECUTE, GripperPhase.RAMPING, keep_grip=unplugged)
     with pytest.raises(ServoFault), life.latching_faults():
-        raise ServoFault(1, 0x20, "overload")
+        raise ServoFault(1, "overload", bits=0x20)
     assert (life.state, life.status.fault_number) == (CellState.ABORTED, 109)
 
 
 def test_a_clear_that_fails_keeps_the_first_fault_or_names_it_beside_that_of_a_servo() -> None:
     life = life_of(CellState.ABORTED, GripperPhase.HELD_AFTER_FAULT)
     life.latched = LatchedFault("no frame for 0.2 s", 401)
-    for error, number in ((BusTimeout("the cable is out"), 401), (ServoFault(1, 32, "hot"), 109)):
+    for error, number in (
+        (BusTimeout("the cable is out"), 401),
+        (ServoFault(1, "hot", bits=32), 109),
+    ):
         life.hand.clear_fault = raising(error)  # type: ignore[method-assign]
         with pytest.raises(type(error)):
             life.clear(reboot=False)

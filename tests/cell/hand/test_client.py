@@ -430,7 +430,7 @@ def test_a_command_is_a_method_of_the_hand_and_no_other_one() -> None:
 
 ERRORS = [
     ServoRejected(2, 5, "writing goal"),
-    ServoFault(1, 32, "it has switched its torque off"),
+    ServoFault(1, "it has switched its torque off", bits=32),
     VerificationFailed(
         VerificationReport(
             rows=(VerificationRow(servo_id=1, item="x", expected="1", actual="2", ok=False),)
@@ -510,7 +510,7 @@ class FakeHand:
     press_pads_together = grasp
 
     def inspect(self) -> Any:
-        raise ServoFault(2, 4, "hot")
+        raise ServoFault(2, "hot", bits=4)
 
     def tick(self) -> None:
         self.calls.append("tick")

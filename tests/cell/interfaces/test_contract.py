@@ -193,7 +193,7 @@ def test_a_fault_is_a_number_until_it_is_cleared(connect: Connect) -> None:
     served.plugin.stop_recording("No space left on device")
     check_values(host, recording=True)
     for number, reboot in ((2, False), (3, True)):
-        served.plugin.fail(ServoFault(1, 0x20, "overload"))
+        served.plugin.fail(ServoFault(1, "overload", bits=0x20))
         check_values(host, state=ABORTED, fault=109, needs_reset=False, holding=True, force_n=None)
         if number == 2:
             check_values(host, outcome=FAILED, job_fault=109)
