@@ -19,11 +19,9 @@ _VERSION = b"V1013\r"
 """Answer to V: hardware version 1.0, software version 1.3."""
 _FLAG_PASSIVE = 0x20
 """Bit of the answer to F."""
-_DATA = r"([0-8])((?:[0-9A-Fa-f]{2})*)"
-"""Number of the data bytes, and each as two digits."""
-_STANDARD = re.compile(f"([0-7][0-9A-Fa-f]{{2}}){_DATA}")
-_EXTENDED = re.compile(f"([01][0-9A-Fa-f]{{7}}){_DATA}")
-"""A message of 11 and of 29 bits after its letter."""
+_MESSAGE = re.compile("t([0-7][0-9A-Fa-f]{2})([0-8])((?:[0-9A-Fa-f]{2})*)")
+"""A message: identifier of 11 bits, number of data bytes, and each as two digits. The devices here
+take no identifiers of 29 bits and no requests (RTR), which the adapter refuses."""
 
 
 class SlcanAdapter:
@@ -91,8 +89,8 @@ class SlcanAdapter:
         except UnicodeDecodeError:
             return _REFUSED
         name, rest = text[0], text[1:]
-        if name in "tTrR":
-            return self._send(name, rest, now_s)
+        if name == "t":
+            return self._send(text, now_s)
         if name == "S" and len(rest) == 1 and "0" <= rest <= "8" and not self._open:
             self._chosen = BIT_RATES[int(rest)]
             return _OK
@@ -104,18 +102,16 @@ class SlcanAdapter:
             return b"F%02X\r" % (_FLAG_PASSIVE if self._link.faults.error_passive else 0)
         return _VERSION if text == "V" else _REFUSED
 
-    def _send(self, name: str, rest: str, now_s: float) -> bytes:
-        extended, remote = name in "TR", name in "rR"
-        match = (_EXTENDED if extended else _STANDARD).fullmatch(rest)
+    def _send(self, text: str, now_s: float) -> bytes:
+        match = _MESSAGE.fullmatch(text)
         if match is None or not self._open:
             return _REFUSED
         data = bytes.fromhex(match[3])
-        if len(data) != (0 if remote else int(match[2])):
+        if len(data) != int(match[2]):
             return _REFUSED
-        # No device here takes identifiers of 29 bits.
-        if not (remote or extended) and self._chosen == self._link.bitrate:
+        if self._chosen == self._link.bitrate:
             self._link.send(int(match[1], 16), data, now_s)
-        return b"Z\r" if extended else b"z\r"
+        return b"z\r"
 
 
 def _text(message: can.Message) -> bytes:
