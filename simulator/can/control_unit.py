@@ -152,9 +152,6 @@ class SimulatedControlUnit(CanopenDevice):
                 both_on and (present ^ value) & _COB_ID_BITS
             ):
                 raise canopen.SdoAbortedError(sdo.ABORT_INVALID_VALUE)
-        mapping = group.endswith("mapping parameter")
-        if mapping and value != od.default and (od.subindex or value):
-            raise canopen.SdoAbortedError(sdo.ABORT_PDO_CANNOT_MAP)
         if group == _ERRORS:
             self.errors.clear()
         try:

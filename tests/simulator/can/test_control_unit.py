@@ -239,19 +239,11 @@ def test_a_burst_that_does_not_fit_the_window_is_cut_short_and_told(line) -> Non
         (0x1800, 1, 0x186, 4, 0x0609_0030),
         (0x1800, 1, 0x8000_0600, 4, 0x0609_0030),
         (0x1800, 2, 1, 1, 0x0609_0030),
-        (0x1A00, 0, 1, 1, 0x0604_0041),
-        (0x1A00, 2, 0x2140_0108, 4, 0x0604_0041),
+        (0x1A00, 0, 1, 1, 0x0601_0002),
     ],
 )
 def test_writes_that_are_not_allowed_are_refused(index, sub, value, size, code) -> None:
     assert Line().write(index, sub, value, size) == code
-
-
-def test_the_mapping_can_be_written_again(line) -> None:
-    for sub, value, size in ((0, 0, 1), (1, 0x2110_0108, 4), (0, 2, 1)):
-        assert line.write(0x1A00, sub, value, size) == 0
-    line.start()
-    assert len(line.tell(SYNC)) == 59
 
 
 PAPER = BurstFormat(n_taxels=408, sample_bytes=1)

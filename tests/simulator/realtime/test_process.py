@@ -1,6 +1,5 @@
 """A cell on real terminals, driven step by step with a made-up time."""
 
-import errno
 import json
 import math
 import os
@@ -253,16 +252,6 @@ def test_a_client_that_never_reads_does_not_block(endpoint, client):
     while client.read(1 << 16):
         due_s = endpoint.poll(300.0)
     assert due_s is None
-
-
-def test_closing_gives_everything_back(device, tmp_path):
-    endpoint = SerialPty(device, tmp_path / "servos")
-    descriptor = endpoint.fileno()
-    endpoint.close()
-    endpoint.close()
-    assert not os.path.lexists(tmp_path / "servos")
-    with pytest.raises(OSError, match=os.strerror(errno.EBADF)):
-        os.fstat(descriptor)
 
 
 def test_an_old_link_is_replaced_and_a_foreign_one_left(device, tmp_path):

@@ -318,16 +318,6 @@ def test_a_second_program_is_refused_until_the_first_has_ended(adapter) -> None:
     close_bus(open_bus("slcan", adapter.path))
 
 
-def test_a_link_to_the_port_is_the_same_port_and_closing_gives_it_back(adapter, tmp_path) -> None:
-    link = tmp_path / "adapter"
-    link.symlink_to(adapter.path)
-    bus = open_bus("slcan", adapter.path)
-    with pytest.raises(BusNotOpened, match="exclusively lock"):
-        open_bus("slcan", str(link))
-    close_bus(bus)
-    close_bus(open_bus("slcan", str(link)))
-
-
 def test_a_bit_rate_that_an_adapter_lacks_leaves_its_port_free(adapter) -> None:
     with pytest.raises(BusNotOpened, match="bitrate") as refused:
         open_bus("slcan", adapter.path, bitrate=800_000)
