@@ -6,6 +6,7 @@ and drops error frames. Every method raises a `LinkFault` at once if its message
 
 from collections import deque
 from math import ceil, inf
+from operator import itemgetter
 
 from canopen.emcy import EMCY_STRUCT, EmcyError
 from canopen.nmt import COMMAND_TO_STATE, NMT_COMMANDS, NMT_STATES
@@ -13,8 +14,9 @@ from canopen.nmt import COMMAND_TO_STATE, NMT_COMMANDS, NMT_STATES
 from tactile import errors
 from tactile.can.bus import ACTIVE, CLASS_CONTROLLER, PASSIVE
 from tactile.control_unit.settings import LinkSettings
-from tactile.frames.force_message import ForceStream
-from tactile.source import ForceMessage
+from tactile.errors import FrameError
+from tactile.frames.force_message import COUNTERS, decode_force_message
+from tactile.source import ForceMessage, ForceStatistics, ForceStatus
 
 BOOT_UP = 0
 """State byte of a boot-up message (CiA 301, 7.2.8.3.3); canopen calls that state INITIALISING."""
@@ -56,7 +58,12 @@ _LATE_FORCES = 0.3
 twice, it is at least a half."""
 _STALL_SHOWS_S = 0.2
 """Time in s after a stall of the host in which force messages of the stall still count in
-`ForceStream.behind_s`, whose window is half of it."""
+`ForceFlow.behind_s`, whose window is half of it."""
+_USUAL_MESSAGES = 250
+"""Number of messages after which their least delay is discarded, once or twice: a unit's clock may
+have an error of a few thousandths."""
+_BEHIND_S, _LEAST_BEHIND = 0.1, 3
+"""Time in s, and least number of messages, that must all come later than usual."""
 _LAG_FRAMES = 500
 """Number of newest frames whose least lag is the usual one."""
 _HEARTBEATS = 2.5
@@ -321,12 +328,12 @@ class FrameFlow:
         self._lags.append(self._ahead)
 
 
-class ForceFlow(ForceStream):
-    """Supervision of the force messages: few lost, none late, none silent for long."""
+class ForceFlow:
+    """Force messages: each is returned once, none after a newer one; few lost, late or silent."""
 
     def __init__(self, name: str, settings: LinkSettings) -> None:
-        super().__init__(settings.force_period_s)
         self._name, self._settings = name, settings
+        self._period_s = settings.force_period_s
         rate_hz, burst = 1.0 / settings.force_period_s, settings.force_timeout_s
         self._lost = TrafficLimit(
             "lost force messages",
@@ -341,6 +348,13 @@ class ForceFlow(ForceStream):
             burst * rate_hz,
         )
         self._last_s, self._stalled_s, self._stall_s = -inf, -inf, 0.0
+        self._last_counter, self._last_data = 0, b""
+        self._came_s = 0.0
+        self.counts = ForceStatistics()
+        """Counts so far; they are updated."""
+        self._sent = 0
+        self._delays: deque[tuple[float, float]] = deque()
+        self._least_s = self._least_before_s = inf
 
     def enter_operation(self, now_s: float) -> None:
         """Require force messages from now on."""
@@ -352,13 +366,60 @@ class ForceFlow(ForceStream):
         self._stalled_s, self._stall_s = now_s, self._settings.sync_period_s + late_s
 
     def push(self, data: bytes | bytearray, t_s: float) -> ForceMessage | None:
-        """Add a message and return it if it is valid and newer."""
-        message = super().push(data, t_s)
-        if message is not None:
-            self._last_s = max(self._last_s, t_s)
-        self._lost.reach(self.counts.lost, t_s)
-        self._late.reach(self.counts.late, t_s)
+        """Add a message received at ``t_s`` s and return it if it is valid and newer."""
+        try:
+            message = decode_force_message(data, t_s)
+        except FrameError:
+            self.counts.damaged += 1
+            return None
+        # Silence since any message: a repeated message never counts as a new one.
+        silence_s, self._came_s = t_s - self._came_s, t_s
+        if self._last_data and not self._follows(message.counter, data, silence_s):
+            return None
+        self._note_delay(message)
+        self._last_counter, self._last_data = message.counter, bytes(data)
+        self._last_s = max(self._last_s, t_s)
+        self.counts.received += 1
         return message
+
+    @property
+    def behind_s(self) -> float:
+        """Additional delay in s of all messages of the last 0.1 s, compared with the usual one.
+
+        It follows from their counters. Messages that are sent less often also get a delay, and so
+        do messages after a loss of sixteen at once.
+        """
+        if len(self._delays) < _LEAST_BEHIND:
+            return 0.0
+        usual_s = min(self._least_s, self._least_before_s)
+        return min(self._delays, key=itemgetter(1))[1] - usual_s
+
+    def _note_delay(self, message: ForceMessage) -> None:
+        """Add the delay of a message after the time at which its counter was due."""
+        step = (message.counter - self._last_counter) % COUNTERS if self._last_data else 1
+        self._sent += step + (ForceStatus.OVERRUN in message.status)
+        delay_s = message.t_s - self._sent * self._period_s
+        self._delays.append((message.t_s, delay_s))
+        while message.t_s - self._delays[0][0] > _BEHIND_S and len(self._delays) > _LEAST_BEHIND:
+            # The usual delay excludes the messages that may be late.
+            self._least_s = min(self._least_s, self._delays.popleft()[1])
+        if self.counts.received % _USUAL_MESSAGES == 0:
+            self._least_before_s, self._least_s = self._least_s, inf
+
+    def _follows(self, counter: int, data: bytes | bytearray, silence_s: float) -> bool:
+        step = (counter - self._last_counter) % COUNTERS
+        if round(silence_s / self._period_s) < COUNTERS // 2:
+            if data == self._last_data:
+                self.counts.repeated += 1
+                return False
+            if step == 0 or step >= COUNTERS // 2:
+                self.counts.late += 1
+                # It was counted as lost when the newer one came.
+                self.counts.lost = max(0, self.counts.lost - 1)
+                return False
+        # After a silence at least this number is missing; the host may only have polled late.
+        self.counts.lost += (step - 1) % COUNTERS
+        return True
 
     def too_late(self, late_s: float) -> errors.FrameTimeout:
         """Return the error of force messages that are late by a time in s."""
@@ -370,7 +431,9 @@ class ForceFlow(ForceStream):
         )
 
     def check(self, now_s: float) -> None:
-        """Raise FrameTimeout for late or missing force messages."""
+        """Raise BusDisturbed for too many lost or old messages, FrameTimeout for late or none."""
+        self._lost.reach(self.counts.lost, now_s)
+        self._late.reach(self.counts.late, now_s)
         # Messages of a stall of the host were read at its end, and look late for a while.
         excuse_s = self._stall_s if now_s - self._stalled_s < _STALL_SHOWS_S else 0.0
         if self.behind_s - excuse_s > self._settings.force_late_s:

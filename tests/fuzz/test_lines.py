@@ -28,7 +28,8 @@ from simulator.can.messages import BurstFormat, force_bytes
 from simulator.clock import VirtualClock
 from simulator.servo.protocol2 import Instruction, crc16, encode_status
 from tactile.can.bus import BulkSlcanBus
-from tactile.frames.force_message import ForceStream
+from tactile.control_unit.settings import LinkSettings
+from tactile.control_unit.watch import ForceFlow
 from tactile.frames.transport import FrameAssembler, FrameFormat
 from tactile.layout import paper_layout
 from tactile.source import ForceMessage, ForceStatus, TactileFrame
@@ -87,7 +88,7 @@ forces = st.builds(
 @bad_input(sent=st.lists(forces, min_size=1, max_size=6), harm=damages(at_most=3))
 def test_force_messages_are_those_that_came_each_once(sent, harm):
     messages = disturbed(sent, harm)
-    stream = ForceStream(0.003)
+    stream = ForceFlow("the unit", LinkSettings(force_period_s=0.003))
     accepted = [stream.push(data, 0.003 * n) for n, data in enumerate(messages)]
     taken = [force_bytes(message) for message in accepted if message is not None]
     assert all(data in messages for data in taken)

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from simulator.can.messages import BurstFormat, force_bytes, read_zero
+from tactile.control_unit.settings import LinkSettings
+from tactile.control_unit.watch import ForceFlow
 from tactile.errors import FrameError, LayoutError
 from tactile.frames.force_message import (
     BAD_TAXEL,
-    ForceStream,
     crc8,
     decode_force_message,
     encode_zero,
@@ -102,8 +103,13 @@ def test_one_turned_bit_is_noticed(bit: int) -> None:
         decode_force_message(data, 0.0)
 
 
-def test_lost_repeated_late_and_damaged_messages_are_told_apart() -> None:
-    stream, period_s = ForceStream(0.003), 0.003
+@pytest.fixture
+def stream() -> ForceFlow:
+    return ForceFlow("the unit", LinkSettings(force_period_s=0.003))
+
+
+def test_lost_repeated_late_and_damaged_messages_are_told_apart(stream) -> None:
+    period_s = 0.003
     sent = [force_bytes(message(n % 16, 1.0 + 0.1 * n)) for n in range(40)]
     took = []
     order = [0, 1, 2, 5, 5, 4, 6, 7]  # 3 lost, 5 twice, 4 late
@@ -117,8 +123,7 @@ def test_lost_repeated_late_and_damaged_messages_are_told_apart() -> None:
     assert (statistics.late, statistics.damaged) == (1, 2)
 
 
-def test_after_a_silence_any_counter_is_newer() -> None:
-    stream = ForceStream(0.003)
+def test_after_a_silence_any_counter_is_newer(stream) -> None:
     assert stream.push(force_bytes(message(4)), 0.0) is not None
     assert stream.push(force_bytes(message(4)), 0.048) is not None
     assert stream.counts.lost == 15
@@ -126,16 +131,16 @@ def test_after_a_silence_any_counter_is_newer() -> None:
     assert stream.counts.lost == 15
 
 
-def test_a_message_that_comes_again_and_again_stays_old() -> None:
-    stream = ForceStream(0.003)
+def test_a_message_that_comes_again_and_again_stays_old(stream) -> None:
     took = [stream.push(force_bytes(message(4)), 0.003 * n) for n in range(100)]
     assert [n for n, one in enumerate(took) if one is not None] == [0]
     assert stream.counts.repeated == 99
 
 
 @pytest.mark.parametrize("start", range(16))
-def test_a_unit_that_counts_from_zero_again_is_followed_within_ten_messages(start: int) -> None:
-    stream = ForceStream(0.003)
+def test_a_unit_that_counts_from_zero_again_is_followed_within_ten_messages(
+    stream, start: int
+) -> None:
     assert stream.push(force_bytes(message(start)), 0.0) is not None
     took = [
         stream.push(force_bytes(message(n % 16, 2.0)), 0.003 * (n + 1)) is not None
