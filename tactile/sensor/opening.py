@@ -1,6 +1,7 @@
 """Opening a sensor on the CANopen control unit: bus, link and sensor in one call."""
 
 import time
+from collections.abc import Callable
 
 from tactile.can.bus import CanBus, close_bus, open_bus
 from tactile.clock import Clock
@@ -23,6 +24,7 @@ def open_sensor(
     node_id: int = 5,
     link: LinkSettings | None = None,
     settings: SensorSettings | None = None,
+    reopen: Callable[[], CanBus] | None = None,
 ) -> TactileSensor:
     """Open the control unit's CAN bus and return its sensor; ``with`` starts the unit.
 
@@ -46,6 +48,8 @@ def open_sensor(
         CANopen node-ID of the unit, 1 to 127.
     link, settings
         Periods and limits of the link, and of the way from frames to forces.
+    reopen
+        Opens a lost bus anew at the next start; without it a lost bus stays lost.
 
     Raises
     ------
@@ -67,6 +71,7 @@ def open_sensor(
                 layout=layout,
                 settings=link,
                 force_table=force_table(layout, calibration.force_n),
+                reopen=reopen,
             ),
             calibration,
             clock=clock,
