@@ -14,7 +14,7 @@ from simulator.world.taxels import NoiseModel
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import Mounting
 from tactile.control_unit.settings import LinkSettings
-from tactile.errors import FrameTimeout, IdentityMismatch, LayoutError, LinkFault
+from tactile.errors import BusDisturbed, FrameTimeout, IdentityMismatch, LayoutError, LinkFault
 from tactile.frames.force_message import encode_zero, force_table
 from tactile.layout import PadMount, paper_layout, pinch_layout, taxel_order
 from tactile.sensor.calibration import FoamCalibration
@@ -107,6 +107,31 @@ def test_a_longer_silence_is_allowed_where_that_is_set(make_forces, knob, silenc
     sending.forces(silence_s - 0.04)
     with pytest.raises(FrameTimeout, match=r"no (force message|whole frame)"):
         sending.forces(0.08)
+
+
+def swap_pairs(sending: Bench) -> None:
+    """Let each second force message come before the one that was made earlier."""
+    held: list[bytes] = []
+
+    def later(burst: list[bytes]) -> list[bytes]:
+        held.extend(burst)
+        return [held.pop(), held.pop()] if len(held) == 2 else []
+
+    sending.alter(0x285, later)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (lambda sending: setattr(sending.unit.faults, "forces_lost", 0.25), "lost force messages"),
+        (swap_pairs, "force messages that are older than the one before"),
+    ],
+)
+def test_too_many_lost_or_old_force_messages_are_a_fault(sending, spoil, says) -> None:
+    sending.forces(0.1)
+    spoil(sending)
+    with pytest.raises(BusDisturbed, match=says):
+        sending.forces(1.0)
 
 
 def stall(sending: Bench, monkeypatch: pytest.MonkeyPatch, stall_s: float = 0.057) -> None:
