@@ -90,7 +90,8 @@ class _Board(Board):
         self._samples = samples
         matrix = np.frombuffer(samples, dtype=np.uint8).reshape(self._shape)
         pad = (matrix if self._rows_along else matrix.T).astype(np.uint16).ravel()
-        self.saw(t_s, t_s, pad)
+        # A board scans and sends without a pause: the mean of its taxels is half a period older.
+        self.saw(t_s - 0.5 * PERIOD_S, t_s, pad)
 
 
 def check_layout(layout: TaxelLayout, profile: Profile, *, rows_along: bool) -> None:
