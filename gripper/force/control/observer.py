@@ -155,8 +155,7 @@ class GripObserver:
     def measure(self, moment: Moment, sample: ForceSample | None) -> None:
         """Use the present position, and the newest sample where it is new."""
         error_m = 0.5 * (self._start_m - moment.state.aperture_m) - self._way_m
-        locked = self.speed_m_s == 0.0
-        if locked and abs(error_m) > _SURE_SDS * sqrt(self._p[3, 3] + self._way_m2):
+        if self.speed_m_s == 0.0 and error_m**2 > _SURE_SDS**2 * (self._p[3, 3] + self._way_m2):
             # The fingers have moved although friction should lock them.
             moved = np.array((self.stiffness_n_m, 0.0, 0.0, 1.0, 0.0))
             self._p += np.outer(moved, moved) * error_m**2
@@ -173,7 +172,9 @@ class GripObserver:
             # The force at that time is the present one without the way since then.
             since_n = self.stiffness_n_m * (self._way_m - self._ways_m.at(sample.measured_s))
             of = np.array((1.0, 0.0, 0.0, 0.0, -since_n))
-            self._correct(of, self.unexplained_n(sample), sample.noise_n**2)
+            # A sensor is read once in a period: the time of a sample is known to one of them.
+            change_n = self.stiffness_n_m * self.speed_m_s * moment.dt_s
+            self._correct(of, self.unexplained_n(sample), sample.noise_n**2 + change_n**2 / 12.0)
             self._forces.shift(self.force_n - before_n)
             self._take_stiffness()
 
@@ -200,6 +201,8 @@ class GripObserver:
         self.stiffness_n_m = 2.0 * sqrt(least_n_m * most_n_m)
         """Stiffness of part and pad, at one pad, in N/m."""
         log_sd = max(_LEAST_LOG_SD, log(most_n_m / least_n_m) / sqrt(12.0))
-        share = log_sd / sqrt(self._p[4, 4])
+        # What is not known of the next travel has not acted on the force yet.
+        share = min(1.0, log_sd / sqrt(self._p[4, 4]))
         self._p[4] *= share
         self._p[:, 4] *= share
+        self._p[4, 4] = log_sd**2

@@ -84,7 +84,7 @@ class StiffnessEstimate:
         self.apertures = History()
         """Opening of the last periods in m."""
         self._block: list[tuple[float, float]] = []
-        self._block_s = -inf
+        self._block_s, self._block_m = -inf, 0.0
         self._pairs: deque[tuple[float, float]] = deque(maxlen=_MEAN_SAMPLES)
         self._anchor: tuple[float, float] | None = None
         self._sample_s: float | None = None
@@ -105,7 +105,9 @@ class StiffnessEstimate:
             return
         n = len(self._block)
         pair = (sum(one[0] for one in self._block) / n, sum(one[1] for one in self._block) / n)
-        self._block_s = sample.t_s
+        # A sensor is read once in a period: the time of a sample is known to one of them.
+        way_m = abs(pair[1] - self._block_m) * moment.dt_s / (sample.t_s - self._block_s)
+        self._block_s, self._block_m = sample.t_s, pair[1]
         self._block.clear()
         if pair[0] < self._touch_n:
             self._anchor = pair
@@ -117,7 +119,7 @@ class StiffnessEstimate:
             return
         # The anchor is a mean of several blocks.
         noise_n = _SURE_SDS * sample.noise_n * sqrt((1.0 + 1.0 / _MEAN_SAMPLES) / n)
-        self._bound(pair[0] - self._anchor[0], self._anchor[1] - pair[1], noise_n)
+        self._bound(pair[0] - self._anchor[0], self._anchor[1] - pair[1], noise_n, way_m)
         if len(self._pairs) < _MEAN_SAMPLES:
             return
         mean_n = sum(pair[0] for pair in self._pairs) / _MEAN_SAMPLES
@@ -129,11 +131,14 @@ class StiffnessEstimate:
                 self._anchor = mean_n, mean_m
                 self.allow_harder(_HARDENS)
 
-    def _bound(self, growth_n: float, travel_m: float, noise_n: float) -> None:
-        """Reduce the bounds by a growth of the force; where it contradicts them, they follow it."""
+    def _bound(self, growth_n: float, travel_m: float, noise_n: float, way_m: float) -> None:
+        """Reduce the bounds by a growth of the force; where it contradicts them, they follow it.
+
+        ``way_m``: way in m of the time by which the force may be younger than its opening.
+        """
         least_n_m, most_n_m = self.bounds_n_m
         if growth_n > noise_n:
-            shown_n_m = (growth_n - noise_n) / (max(travel_m, 0.0) + self.step_m)
+            shown_n_m = (growth_n - noise_n) / (max(travel_m, 0.0) + way_m + self.step_m)
             least_n_m = min(max(least_n_m, shown_n_m), STIFFEST_N_M)
             most_n_m = max(least_n_m, most_n_m)
         if travel_m > self.step_m and growth_n > -noise_n:

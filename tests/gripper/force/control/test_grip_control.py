@@ -97,7 +97,8 @@ def test_a_correction_downwards_does_not_shoot_beyond_where_friction_is_less_tha
     corrected_n = 6.0 / cell.sensor.gain
     cell.least_n = 6.0
     cell.gripper.hold(1.5)
-    assert cell.force_n == pytest.approx(corrected_n, abs=0.3)
+    # Against the direction of the ramp the law leaves 0.3 N of the force that it estimates.
+    assert cell.force_n == pytest.approx(corrected_n, abs=0.35)
     assert cell.least_n > corrected_n - 0.4
 
 
