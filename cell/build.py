@@ -42,8 +42,7 @@ from cell.simulation import (
     simulation_of,
 )
 from gripper.clock import Clock
-from gripper.dynamixel.protocol2 import ByteStream
-from gripper.dynamixel.serial_port import SerialStream
+from gripper.dynamixel.serial_port import ByteStream, SerialStream
 from gripper.values.state import GripperPhase
 from motion.axes import Axes, Watch
 from simulator.cell import SimulatedCell

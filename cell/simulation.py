@@ -26,7 +26,7 @@ from cell.control.plan import Pose
 from cell.errors import CellStateError, ConfigError, PositionerError, RequestRefused, raised_as
 from cell.installation import extra
 from gripper.dynamixel.models import MODELS, ServoModel
-from gripper.dynamixel.protocol2 import ByteStream
+from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
 from simulator.can.control_unit import ControlUnitSettings
 from simulator.can.drive import DriveMount

@@ -3,7 +3,7 @@
 `open_gripper` opens the servos' port; the names below are all that a program needs to move a
 gripper. Sub-packages: `force` (ramps and the force loop), `servos` (the servos of one gripper as a
 group), `mechanics` (linkage, friction, impact), `dynamixel` (Protocol 2.0 on a serial line; the
-only importer of `serial`), `values` (reports and results); beside them
+only importer of `serial` and the SDK), `values` (reports and results); beside them
 `gripper`, `lifecycle`, `settings`, `clock` and `errors`.
 """
 

@@ -15,8 +15,7 @@ from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_POSITION, STATUS_RETURN_LEVEL
 from gripper.dynamixel.drive import DriveCharacteristic, DriveReport
 from gripper.dynamixel.latency import check_link
-from gripper.dynamixel.protocol2 import ByteStream
-from gripper.dynamixel.serial_port import open_line
+from gripper.dynamixel.serial_port import ByteStream, open_line
 from gripper.errors import (
     BusCorrupt,
     BusTimeout,

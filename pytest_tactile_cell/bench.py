@@ -8,8 +8,7 @@ from cell.config.model import CellConfig
 from cell.simulation import simulator_settings
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.protocol2 import ByteStream
-from gripper.dynamixel.serial_port import open_line
+from gripper.dynamixel.serial_port import ByteStream, open_line
 from pytest_tactile_cell.configs import simulated_config
 from pytest_tactile_cell.faults import FaultRegistry
 from pytest_tactile_cell.options import HardwareOptions

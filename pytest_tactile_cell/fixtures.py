@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from cell.config.model import CellConfig
     from gripper.clock import Clock
     from gripper.dynamixel.bus import ServoBus
-    from gripper.dynamixel.protocol2 import ByteStream
+    from gripper.dynamixel.serial_port import ByteStream
     from pytest_tactile_cell.bench import LinkBench
     from pytest_tactile_cell.process import CellProcess
     from pytest_tactile_cell.virtual import CellRuntime, VirtualCell

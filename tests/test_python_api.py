@@ -18,6 +18,7 @@ PRINTED = (
     r"\(408,\) \(0\.0, 0\.0\)\n",
     "8 mm\n",
     "ball\n",
+    r"\['(\[TxRxResult\] Communication success!)', '\1'\]\n2213 25\n",
 )
 FACES = ("gripper", "tactile", "motion", "recognition", "simulator", "cell")
 
@@ -60,7 +61,7 @@ def test_a_package_imports_nothing_before_it_is_used(package) -> None:
 # -- What a program pays for an import -------------------------------------------------------------
 
 
-CAN, SERVOS = ("can", "canopen"), ("serial",)
+CAN, SERVOS = ("can", "canopen"), ("serial", "dynamixel_sdk")
 
 
 def loaded(modules: str) -> set[str]:
@@ -74,7 +75,7 @@ def loaded(modules: str) -> set[str]:
 @pytest.mark.parametrize(
     ("modules", "later"),
     [
-        ("cell.runtime.plugin", ("scipy", "matplotlib", *CAN)),
+        ("cell.runtime.plugin", ("scipy", "matplotlib", *CAN, "dynamixel_sdk")),
         (
             "pytest_tactile_cell.fixtures, pytest_tactile_cell.options",
             (

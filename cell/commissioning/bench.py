@@ -16,8 +16,7 @@ from cell.config.tactile import TactileConfig
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.models import MODELS
-from gripper.dynamixel.protocol2 import ByteStream
-from gripper.dynamixel.serial_port import SerialStream, serial_candidates
+from gripper.dynamixel.serial_port import ByteStream, SerialStream, serial_candidates
 from tactile.can.bus import CanBus, close_bus, open_bus
 
 _Section = TypeVar("_Section", bound=BaseModel)

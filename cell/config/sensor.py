@@ -16,7 +16,7 @@ from tactile.sensor.settings import SensorSettings
 if TYPE_CHECKING:
     from cell.config.tactile import TactileConfig
     from gripper.clock import Clock
-    from gripper.dynamixel.protocol2 import ByteStream
+    from gripper.dynamixel.serial_port import ByteStream
     from simulator.boards.site import SimulatedBoards
     from tactile.can.bus import CanBus
     from tactile.layout import TaxelLayout

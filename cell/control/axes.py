@@ -11,7 +11,7 @@ from cell.control.positioner import Destination, unwatched
 from cell.errors import PositionerError, PositionerFault
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.models import MODELS
-from gripper.dynamixel.protocol2 import ByteStream
+from gripper.dynamixel.serial_port import ByteStream
 from gripper.values.state import GripperPhase
 from motion.axes import Axes, Axis, Watch
 from motion.drive import Cia402Drive, DriveBus, DriveSettings

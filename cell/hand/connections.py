@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
-from gripper.dynamixel.protocol2 import ByteStream
+from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
 from tactile.can.bus import CanBus, MissingBus, close_bus
 from tactile.errors import BusNotOpened

@@ -14,8 +14,7 @@ from cell.hand.interface import HandStatistics, LatestValues, OnPeriod
 from cell.plugins import SENSORS
 from cell.sensors.guard import GuardedSource
 from gripper.clock import Clock
-from gripper.dynamixel.protocol2 import ByteStream
-from gripper.dynamixel.serial_port import SerialStream
+from gripper.dynamixel.serial_port import ByteStream, SerialStream
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import open_gripper
 from gripper.values.force_sensor import ForceSample
@@ -192,8 +191,8 @@ class LocalHand:
 
     def clear_fault(self, *, reboot: bool) -> None:
         """Acknowledge a fault of the servos; reopen a lost port first."""
-        if self._lines.servos_are_missing or self.bus.port.lost:
-            self.bus.port.use(self._lines.reopen_servos())
+        if self._lines.servos_are_missing or self.bus.lost:
+            self.bus.use(self._lines.reopen_servos())
         self.gripper.clear_fault(reboot=reboot)
 
     def shutdown(self) -> str:

@@ -12,9 +12,10 @@ import struct
 import threading
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
-from typing import NamedTuple
+
+from dynamixel_sdk import COMM_SUCCESS, Protocol1PacketHandler
 
 from gripper.clock import Clock
 from gripper.dynamixel.control_table import (
@@ -27,13 +28,25 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.models import ram_shift
 from gripper.dynamixel.protocol2 import (
+    STATUS_OVERHEAD,
+    CheckedPacketHandler,
+    Instruction,
+    StatusPacket,
+)
+from gripper.dynamixel.serial_port import ByteStream, SdkPort
+from gripper.dynamixel.transactions import (
     BROADCAST_ID,
     HIGHEST_ID,
-    STATUS_OVERHEAD,
-    ByteStream,
-    Instruction,
-    PacketPort,
-    StatusPacket,
+    PING_SIZE,
+    BusStatistics,
+    Heard,
+    NoAnswerError,
+    Request,
+    accepted,
+    check_id,
+    checked,
+    given_up,
+    ping_request,
 )
 from gripper.errors import (
     AnswersOff,
@@ -42,7 +55,6 @@ from gripper.errors import (
     BusTimeout,
     LimitExceeded,
     PortLost,
-    ServoRejected,
 )
 
 _COLLISION_READS = 3
@@ -61,93 +73,6 @@ _LONGEST_QUIET_WAIT = 10.0
 take, so that only a line that never becomes quiet reaches it."""
 _SLOT_S = 0.003
 """Time in s that a servo may take for its answer to a broadcast ping, for each ID."""
-_LOCK_TIMEOUT_S = 1.0
-"""Longest wait in s for another thread's transaction."""
-_PING_SIZE = 3
-"""Bytes of data in the answer to a ping: Model Number (2) and Firmware Version (1)."""
-_PROTOCOL_1_SIZE = 6
-"""Bytes of a ping in Protocol 1.0, and of its answer."""
-_CRC_REFUSED = 3
-"""Error number of a servo that received a damaged request (e-Manual, "Error": CRC)."""
-_HEARD_BYTES = 16
-"""Received bytes that an error shows: a header and what follows it."""
-_PRINTABLE = frozenset(range(0x20, 0x7F)) | {0x0A, 0x0D}
-"""Bytes of a text line: a device that sends text, as a GPS receiver, is known by its words."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BusStatistics:
-    """Counts since the bus was opened."""
-
-    transactions: int = 0
-    """Transactions asked for."""
-    retries: int = 0
-    """Requests sent a second time."""
-    timeouts: int = 0
-    """Answers that did not come in time."""
-    corrupt: int = 0
-    """Answers that came damaged, or behind bytes that are none."""
-    late: int = 0
-    """Answers to an earlier request, or of another servo; dropped."""
-
-
-class Request(NamedTuple):
-    """A request to one servo."""
-
-    servo_id: int
-    instruction: Instruction
-    """Who is asked, and for what."""
-    size: int
-    """Bytes of data in the right answer."""
-    action: str
-    """Name of the request in error messages."""
-    params: bytes = b""
-    """Parameters of the instruction packet, unstuffed."""
-
-
-class Heard:
-    """Invalid data since the last correct answer, for error messages."""
-
-    def __init__(self) -> None:
-        self._bytes = self._packets = 0
-        self._head = b""
-
-    def __bool__(self) -> bool:
-        return self._bytes + self._packets > 0
-
-    def __str__(self) -> str:
-        parts = []
-        if self._packets:
-            parts.append(f"{self._packets} whole packets that answer no request")
-        if self._bytes:
-            text = f" ({self._head!r})" if _PRINTABLE.issuperset(self._head) else ""
-            parts.append(
-                f"{self._bytes} bytes that are no packet, the first are {self._head.hex(' ')}{text}"
-            )
-        return f"received were {' and '.join(parts) or 'no bytes'}"
-
-    def add(self, dropped: bytes) -> None:
-        """Add bytes that are no packet."""
-        self._bytes += len(dropped)
-        self._head = (self._head + dropped)[:_HEARD_BYTES]
-
-    def add_packet(self) -> None:
-        """Count a packet that answers no request."""
-        self._packets += 1
-
-    def forget(self) -> None:
-        """Begin anew: a right answer came."""
-        self._bytes = self._packets = 0
-        self._head = b""
-
-
-class NoAnswerError(Exception):
-    """No right answer within the time-out; `ServoBus` converts it into a typed error."""
-
-    def __init__(self, damaged: bool) -> None:
-        super().__init__(damaged)
-        self.damaged = damaged
-        """True when other data than the answer came."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -191,6 +116,8 @@ class ServoBus:
         Period of the loop that uses the bus in s: `sync_read` ends within it, retry included.
     allowance_s
         Time for adapter and operating system in s.
+    lock_timeout_s
+        Longest wait in s for another thread's transaction.
     name
         Name of the line in error messages.
     ram_shifts
@@ -205,25 +132,29 @@ class ServoBus:
         clock: Clock,
         period_s: float = 0.005,
         allowance_s: float = 0.0015,
+        lock_timeout_s: float = 1.0,
         name: str = "the servo line",
         ram_shifts: Mapping[int, int] | None = None,
     ) -> None:
         self.alerts: set[int] = set()
-        """IDs of the servos whose last answer had the Alert bit: their register 70 is not zero."""
+        """IDs of the servos whose last answer had the Alert bit."""
         self.misses = Counter[int]()
         """How many answers of each servo were lost in a row, by its ID."""
         self.baudrate = baudrate
         self._least_allowance_s = allowance_s
-        self.port = PacketPort(stream, clock, baudrate=baudrate, allowance_s=allowance_s)
+        self.port = SdkPort(stream, clock, baudrate=baudrate, allowance_s=allowance_s)
         """The line, with its time-outs."""
         self._name = name
         self._clock = clock
         self._period_s = period_s
-        self._patient = True
+        self._lock_timeout_s = lock_timeout_s
+        self._handler = CheckedPacketHandler()
+        self.patient = True
         """Whether ping and repetition wait 50 ms for their answers, and all wait for a quiet
         line; else no transaction takes longer than a period allows, see `in_loop`."""
+        self._suspect = False
+        self._suspect_since_s = 0.0
         self._quiet_since_s: float | None = None
-        """Time in s since which a suspect line is quiet; None while it is clean."""
         self._outstanding = 0
         self._heard = Heard()
         self._last_error: BusTimeout | BusCorrupt | None = None
@@ -231,6 +162,15 @@ class ServoBus:
         self._counts = dict.fromkeys(BusStatistics.__slots__, 0)
         self._lock = threading.RLock()
         self._closed = False
+
+    @property
+    def lost(self) -> bool:
+        """Whether the line has failed since it was opened; then call `use` with a new one."""
+        return self.port.lost
+
+    def use(self, stream: ByteStream) -> None:
+        """Continue with a reopened line."""
+        self.port.use(stream)
 
     def fit_allowance(self, wanted_s: float, most_s: float) -> None:
         """Set the time for adapter and operating system in a time-out; never below the usual."""
@@ -241,23 +181,22 @@ class ServoBus:
         """Counts since the bus was opened."""
         return BusStatistics(**self._counts)
 
-    @contextmanager
-    def in_loop(self) -> Iterator[None]:
+    def in_loop(self) -> AbstractContextManager[None]:
         """Limit each transaction in the block to the time that a period of the loop allows.
 
         Outside the block a retry waits for ``_LATE_GUARD_S``: at a start or between commands a slow
         answer is no fault. Within it a sync read does not wait for a quiet line: its caller also
         reads Realtime Tick (register 120), which shows an old answer.
         """
-        before, self._patient = self._patient, False
-        try:
-            yield
-        finally:
-            self._patient = before
+        return _InLoop(self)
+
+    def alert(self, servo_id: int) -> bool:
+        """Return whether the last answer of a servo had the Alert bit: register 70 is not zero."""
+        return servo_id in self.alerts
 
     def ping(self, servo_id: int) -> ServoIdentity:
         """Read the identity of a servo; raises BusTimeout if no servo has this ID."""
-        return self._identity(self._ask(_ping_request(servo_id)))
+        return self._identity(self._ask(ping_request(servo_id)))
 
     def scan_at_once(self) -> tuple[tuple[ServoIdentity, ...], bool]:
         """Ping all IDs with one broadcast; return the servos, and whether damaged bytes came.
@@ -270,28 +209,27 @@ class ServoBus:
         answers: list[ServoIdentity] = []
         damaged = False
         with self.exclusive():
-            self.port.send(BROADCAST_ID, Instruction.PING, b"")
-            wire_s = 10.0 / self.baudrate * (STATUS_OVERHEAD + _PING_SIZE) * (HIGHEST_ID + 1)
+            self._handler.send(self.port, BROADCAST_ID, Instruction.PING, b"")
+            wire_s = 10.0 / self.baudrate * (STATUS_OVERHEAD + PING_SIZE) * (HIGHEST_ID + 1)
             slots_s = _SLOT_S * HIGHEST_ID
             self.port.start_timeout(wire_s + slots_s + self.port.allowance_s)
-            while (status := self.port.receive()) is not None:
-                damaged |= bool(self.port.dropped) or len(status.data) != _PING_SIZE
-                if len(status.data) == _PING_SIZE:
+            while (status := self._handler.receive(self.port)) is not None:
+                damaged |= bool(self._handler.dropped) or len(status.data) != PING_SIZE
+                if len(status.data) == PING_SIZE:
                     answers.append(self._identity(status))
-            damaged |= bool(self.port.dropped)
+            damaged |= bool(self._handler.dropped)
             self._mark_suspect()
         return tuple(answers), damaged
 
     def scan_protocol_1(self, ids: Sequence[int] = range(HIGHEST_ID + 1)) -> tuple[int, ...]:
         """Ping each ID once in Protocol 1.0 and return the servos' IDs; for diagnosis."""
-        answering = []
+        answering, handler = [], Protocol1PacketHandler()
         with self.exclusive():
             for servo_id in ids:
-                ping = _protocol_1(servo_id, Instruction.PING)
-                self.port.write(ping)
-                self.port.expect(_PROTOCOL_1_SIZE)
-                heard = b"".join(iter(self.port.read, b"")).replace(ping, b"")  # not its echo
-                if any(_protocol_1(servo_id, error) in heard for error in range(0x80)):
+                ping = [0, 0, servo_id, 2, int(Instruction.PING), 0]
+                answer, result, _ = handler.txRxPacket(self.port, ping)
+                # Not its echo.
+                if result == COMM_SUCCESS and answer != ping:
                     answering.append(servo_id)
             self._mark_suspect()
         return tuple(answering)
@@ -303,10 +241,13 @@ class ServoBus:
         the adapter receives no bytes. One answer may be lost by chance. Equal servos report one
         Model Number (register 0); a servo that answers no read does not.
         """
+        action = f"reading {PRESENT_BLOCK} of servo {servo_id}"
+        params = _words(self._address(servo_id, PRESENT_BLOCK), PRESENT_BLOCK.size)
+        request = Request(servo_id, Instruction.READ, PRESENT_BLOCK.size, action, params)
         lost = 0
         for _ in range(_COLLISION_READS):
             try:
-                self._ask_once(self._read_request(servo_id, PRESENT_BLOCK))
+                checked(self._ask_once(request)[0], action)
             except BusCorrupt:
                 return True
             except BusTimeout:
@@ -334,11 +275,14 @@ class ServoBus:
 
     def round_trip_s(self, servo_id: int) -> float:
         """Return the round-trip time of a ping in s, also for a late answer."""
-        return self._ask_once(_ping_request(servo_id), patient=True)
+        return self._ask_once(ping_request(servo_id), patient=True)[1]
 
     def read(self, servo_id: int, register: Register) -> int:
         """Return the raw value of an item, sign-extended."""
-        return register.decode(self._ask(self._read_request(servo_id, register)).data)
+        action = f"reading {register.name} of servo {servo_id}"
+        params = _words(self._address(servo_id, register), register.size)
+        request = Request(servo_id, Instruction.READ, register.size, action, params)
+        return register.decode(self._ask(request).data)
 
     def write(self, servo_id: int, register: Register, raw: int) -> None:
         """Write the raw value of an item and wait for the servo's confirmation.
@@ -351,8 +295,8 @@ class ServoBus:
             When the servo refuses, for example EEPROM with torque on (error 7).
         """
         if not register.writable:
-            raise LimitExceeded(f"{register} is read-only")
-        action = f"writing {register} = {raw} to servo {servo_id}"
+            raise LimitExceeded(f"{register.name} is read-only")
+        action = f"writing {register.name} = {raw} to servo {servo_id}"
         params = _words(self._address(servo_id, register)) + register.encode(raw)
         self._ask(Request(servo_id, Instruction.WRITE, 0, action, params))
 
@@ -360,8 +304,6 @@ class ServoBus:
         """Return the items of one block of several servos as raw values by name.
 
         A servo whose answer is missing is asked alone, within `in_loop` only as the period allows.
-        There the servos are asked in the order of their lost answers, so that a silent one does not
-        hide one that answers.
 
         Raises
         ------
@@ -370,26 +312,8 @@ class ServoBus:
         """
         action = f"reading {block} of servos {ids}"
         params = _words(self._common_address(ids, block), block.size)
-        if not self._patient:
-            ids = sorted(ids, key=self.misses.__getitem__)
-        # Requests must not accumulate at a slow machine.
-        all_silent = min(map(self.misses.__getitem__, ids)) >= _ALL_SILENT_MISSES
-        answers: dict[int, StatusPacket] = {}
-        failure = NoAnswerError(damaged=False)
-        with self.exclusive(quiet=self._patient or all_silent):
-            deadline_s = None if self._patient else self._clock.monotonic() + self._period_s
-            self.port.send(BROADCAST_ID, Instruction.SYNC_READ, params + bytes(ids))
-            try:
-                # They answer one after the other: after a missing answer no other follows.
-                for servo_id in ids:
-                    answers[servo_id] = self._receive(servo_id, block.size)
-            except NoAnswerError as error:
-                failure = error
-            for servo_id in ids:
-                if servo_id not in answers:
-                    request = Request(servo_id, Instruction.READ, block.size, action, params)
-                    answers[servo_id] = self._retry(request, failure, deadline_s)
-        return {one: block.decode(_checked(answers[one], action).data) for one in ids}
+        answers = self._ask_all(ids, params, block.size, action)
+        return {servo_id: block.decode(status.data) for servo_id, status in answers.items()}
 
     def sync_write(self, values: Mapping[int, Sequence[int]], block: RegisterBlock) -> None:
         """Write the items of one block to several servos at once.
@@ -409,16 +333,21 @@ class ServoBus:
         for servo_id, raws in values.items():
             params += bytes((servo_id,)) + block.encode(raws)
         # No servo answers: a late answer does no harm.
-        with self.exclusive(quiet=False):
-            self.port.send(BROADCAST_ID, Instruction.SYNC_WRITE, params)
+        self._begin(quiet=False)
+        try:
+            self._handler.send(self.port, BROADCAST_ID, Instruction.SYNC_WRITE, params)
+        finally:
+            self._end()
 
     def reboot(self, servo_id: int) -> None:
         """Restart a servo: torque off, RAM at its defaults; it lets a held part go.
 
         Sent only once, because a repetition would restart it again.
         """
-        self._ask_once(Request(servo_id, Instruction.REBOOT, 0, f"reboot of servo {servo_id}"))
+        request = Request(servo_id, Instruction.REBOOT, 0, f"reboot of servo {servo_id}")
+        status, _ = self._ask_once(request)
         self.alerts.discard(servo_id)
+        checked(status, request.action)
 
     def expect_late_answer(self) -> None:
         """Make the next transaction wait for a quiet line, after an unexpected answer."""
@@ -432,32 +361,45 @@ class ServoBus:
             self.port.close()
 
     @contextmanager
-    def exclusive(self, *, quiet: bool = True) -> Iterator[None]:
-        """Hold the line for one transaction, with ``quiet`` once a suspect line is quiet.
+    def exclusive(self) -> Iterator[None]:
+        """Hold the line for one transaction, after a suspect line has become quiet.
 
         Raises
         ------
         BusBusy
-            When another thread holds the line for more than a second.
+            When another thread holds the line for more than ``lock_timeout_s``.
         PortLost
             After `close`.
         BusCorrupt
             When the line never becomes quiet.
         """
-        if not self._lock.acquire(timeout=_LOCK_TIMEOUT_S):
-            raise BusBusy(f"another thread holds the servo bus for more than {_LOCK_TIMEOUT_S} s")
+        self._begin(quiet=True)
+        try:
+            yield
+        finally:
+            self._end()
+
+    def _begin(self, *, quiet: bool) -> None:
+        """Begin a transaction as `exclusive` does; ``quiet``: after a suspect line became quiet."""
+        if not self._lock.acquire(timeout=self._lock_timeout_s):
+            raise BusBusy(
+                f"another thread holds the servo bus for more than {self._lock_timeout_s} s"
+            )
         try:
             if self._closed:
                 raise PortLost("the servo bus is closed: open it again")
             self._counts["transactions"] += 1
-            if self._quiet_since_s is not None:
-                if quiet:
-                    self._wait_until_quiet()
-                elif self._clock.monotonic() - self._quiet_since_s > _LATE_GUARD_S:
-                    self._mark_clean()
-            yield
-        finally:
-            self._lock.release()
+            if self._suspect and quiet:
+                self._wait_until_quiet()
+            elif self._suspect and self._clock.monotonic() - self._suspect_since_s > _LATE_GUARD_S:
+                self._mark_clean()
+        except BaseException:
+            self._end()
+            raise
+
+    def _end(self) -> None:
+        self.port.is_using = False
+        self._lock.release()
 
     def _address(self, servo_id: int, what: Register | RegisterBlock) -> int:
         """Return the address of an item or a block in the control table of a servo's model."""
@@ -466,7 +408,7 @@ class ServoBus:
 
     def _common_address(self, ids: Sequence[int], block: RegisterBlock) -> int:
         for servo_id in ids:
-            _check_id(servo_id)
+            check_id(servo_id)
         addresses = {self._address(servo_id, block) for servo_id in ids}
         if len(addresses) != 1:
             raise LimitExceeded(
@@ -474,11 +416,6 @@ class ServoBus:
                 "control tables on separate lines"
             )
         return addresses.pop()
-
-    def _read_request(self, servo_id: int, what: Register | RegisterBlock) -> Request:
-        params = _words(self._address(servo_id, what), what.size)
-        action = f"reading {what} of servo {servo_id}"
-        return Request(servo_id, Instruction.READ, what.size, action, params)
 
     def _identity(self, status: StatusPacket) -> ServoIdentity:
         number = int.from_bytes(status.data[:2], "little")
@@ -491,75 +428,85 @@ class ServoBus:
         Raises BusTimeout or BusCorrupt when no repetition was answered, or the line did not become
         quiet. Raises ServoRejected when the servo refuses.
         """
-        _check_id(request.servo_id)
-        with self.exclusive(quiet=self._patient):
-            try:
-                if self._quiet_since_s is not None and not self._patient:
-                    self._ping(request.servo_id)
-                status = self._exchange(request)
-            except NoAnswerError as failure:
-                status = self._retry(request, failure)
-        return _checked(status, request.action)
+        check_id(request.servo_id)
+        self._begin(quiet=self.patient)
+        try:
+            if self._suspect and not self.patient:
+                self._ping(request.servo_id)
+            status = accepted(self._exchange(request))
+        except NoAnswerError as failure:
+            status = self._retry(request, failure)
+        finally:
+            self._end()
+        return checked(status, request.action)
 
-    def _ask_once(self, request: Request, *, patient: bool = False) -> float:
-        """Send a request that is never repeated; return the time in s until its right answer."""
-        _check_id(request.servo_id)
+    def _ask_all(
+        self, ids: Sequence[int], params: bytes, size: int, action: str
+    ) -> dict[int, StatusPacket]:
+        """Ask several servos for the same block with one sync read; return the answers by ID.
+
+        A servo that does not answer is asked alone. In the loop the servos are asked in the order
+        of their lost answers, so that a silent one does not hide one that answers. Raises
+        BusTimeout, BusCorrupt or ServoRejected as `_ask` does, for the first servo without a right
+        answer.
+        """
+        if not self.patient:
+            ids = sorted(ids, key=self.misses.__getitem__)
+        # Requests must not accumulate at a slow machine.
+        all_silent = min(map(self.misses.__getitem__, ids)) >= _ALL_SILENT_MISSES
+        self._begin(quiet=self.patient or all_silent)
+        try:
+            deadline_s = None if self.patient else self._clock.monotonic() + self._period_s
+            answers, failure = self._sync_read(ids, params, size)
+            for servo_id in ids:
+                if servo_id not in answers:
+                    request = Request(servo_id, Instruction.READ, size, action, params)
+                    answers[servo_id] = self._retry(request, failure, deadline_s)
+        finally:
+            self._end()
+        return {servo_id: checked(answers[servo_id], action) for servo_id in ids}
+
+    def _ask_once(self, request: Request, *, patient: bool = False) -> tuple[StatusPacket, float]:
+        """Send a request that is never repeated; return the answer and the time in s it took."""
+        check_id(request.servo_id)
         with self.exclusive():
             sent_s = self._clock.monotonic()
             try:
-                _checked(self._exchange(request, patient=patient), request.action)
+                status = self._exchange(request, patient=patient)
             except NoAnswerError as failure:
                 raise self._given_up(failure, request) from None
-            return self._clock.monotonic() - sent_s
+            return status, self._clock.monotonic() - sent_s
 
     def _mark_suspect(self) -> None:
-        self._quiet_since_s = self._clock.monotonic()
+        self._suspect = True
+        self._suspect_since_s = self._clock.monotonic()
+        self._quiet_since_s = None
 
     def _mark_clean(self) -> None:
-        self._quiet_since_s = None
+        self._suspect = False
         self._outstanding = 0
 
     def _retry(
         self, request: Request, failure: NoAnswerError, deadline_s: float | None = None
     ) -> StatusPacket:
         """Repeat a request after a ping, in the loop once; raise without an answer."""
-        pings, repetitions = 0, _REPETITIONS if self._patient else 1
+        pings, repetitions = 0, _REPETITIONS if self.patient else 1
         for _ in range(repetitions):
             with suppress(NoAnswerError):
                 self._ping(request.servo_id, deadline_s)
                 pings += 1
                 self._counts["retries"] += 1
-                return self._exchange(request, patient=self._patient)
+                return accepted(self._exchange(request, patient=self.patient))
         # In the loop, with one repetition, noise does the same.
-        pinged = self._patient and pings == repetitions
+        pinged = self.patient and pings == repetitions
         raise self._given_up(failure, request, pinged=pinged) from None
 
     def _given_up(
         self, failure: NoAnswerError, request: Request, *, pinged: bool = False
     ) -> BusTimeout | BusCorrupt:
-        """Return the error of a servo that is not asked again; the line is now suspect.
-
-        ``pinged``: whether it has answered each ping between its requests.
-        """
+        """Return the error of a servo without an answer; the line is now suspect."""
         self._mark_suspect()
-        action, servo_id = request.action, request.servo_id
-        if failure.damaged:
-            received = f" ({self._heard})" if self._heard else ""
-            self._last_error = BusCorrupt(
-                f"{action}: the answers of servo {servo_id} arrive damaged, twice in a "
-                f"row{received}: check cable, termination and that no two servos share the ID"
-            )
-        elif pinged:
-            self._last_error = AnswersOff(
-                f"{action}: no answer of servo {servo_id}, although it answers pings: its Status "
-                f"Return Level (register 68) is below 2. A start or a release sets it to 2, and so "
-                f"does switching its supply off and on"
-            )
-        else:
-            self._last_error = BusTimeout(
-                f"{action}: no answer of servo {servo_id}, twice in a row: check its supply, "
-                f"cable, ID and baud rate"
-            )
+        self._last_error = given_up(failure, request, self._heard, pinged=pinged)
         return self._last_error
 
     def _ping(self, servo_id: int, deadline_s: float | None = None) -> None:
@@ -569,33 +516,45 @@ class ServoBus:
         """
         if deadline_s is not None and self._clock.monotonic() >= deadline_s:
             raise NoAnswerError(damaged=False)
-        self._exchange(_ping_request(servo_id), patient=self._patient)
-        if self._patient and self._outstanding > 0:
-            self._mark_suspect()
+        self._exchange(ping_request(servo_id), patient=self.patient)
+        if self.patient and self._outstanding > 0:
             self._wait_until_quiet()
         self._outstanding = 0
 
+    def _sync_read(
+        self, ids: Sequence[int], params: bytes, size: int
+    ) -> tuple[dict[int, StatusPacket], NoAnswerError]:
+        """Send a sync read and collect the answers up to the first missing one.
+
+        The servos answer one after the other: after a missing answer no other follows.
+        """
+        self._handler.send(self.port, BROADCAST_ID, Instruction.SYNC_READ, params + bytes(ids))
+        answers: dict[int, StatusPacket] = {}
+        try:
+            for servo_id in ids:
+                answers[servo_id] = accepted(self._receive(servo_id, size))
+        except NoAnswerError as failure:
+            return answers, failure
+        return answers, NoAnswerError(damaged=False)
+
     def _exchange(self, request: Request, *, patient: bool = False) -> StatusPacket:
-        self.port.send(request.servo_id, request.instruction, request.params)
+        self._handler.send(self.port, request.servo_id, request.instruction, request.params)
         return self._receive(request.servo_id, request.size, patient=patient)
 
     def _receive(self, servo_id: int, size: int, *, patient: bool = False) -> StatusPacket:
-        """Return the next correct answer; drop damaged, late and foreign ones.
-
-        Raises NoAnswerError also where the servo has received the request damaged.
-        """
+        """Return the next correct answer; drop damaged, late and foreign ones."""
         if patient:
             self.port.start_timeout(_LATE_GUARD_S)
         else:
-            self.port.expect(STATUS_OVERHEAD + size)
+            self.port.setPacketTimeout(STATUS_OVERHEAD + size)
         damaged = False
         while True:
-            status = self.port.receive()
-            self._heard.add(self.port.dropped)
+            status = self._handler.receive(self.port)
+            self._heard.add(self._handler.dropped)
             if status is None:
                 self._outstanding += 1
                 self.misses[servo_id] += 1
-                damaged |= bool(self.port.dropped)
+                damaged |= bool(self._handler.dropped)
                 self._counts["corrupt" if damaged else "timeouts"] += 1
                 raise NoAnswerError(damaged)
             if status.servo_id != servo_id:
@@ -608,12 +567,10 @@ class ServoBus:
                 self._counts["late"] += 1
                 self._heard.add_packet()
             else:
-                self._counts["corrupt"] += bool(self.port.dropped)
+                self._counts["corrupt"] += bool(self._handler.dropped)
                 self.misses[servo_id] = 0
                 self._heard.forget()
                 (self.alerts.add if status.alert else self.alerts.discard)(servo_id)
-                if status.error == _CRC_REFUSED:
-                    raise NoAnswerError(damaged=True)
                 return status
 
     def _wait_until_quiet(self) -> None:
@@ -627,24 +584,28 @@ class ServoBus:
             In the loop, while late answers of silent servos may still come.
         """
         now_s = self._clock.monotonic()
-        patience_s = _LONGEST_QUIET_WAIT * _LATE_GUARD_S if self._patient else 0.0
+        if self._quiet_since_s is None:
+            self._quiet_since_s = now_s
+        patience_s = _LONGEST_QUIET_WAIT * _LATE_GUARD_S if self.patient else 0.0
         deadline_s = now_s + patience_s
-        while self._outstanding > 0 and self._quiet_since_s is not None:
+        while self._outstanding > 0:
             left_s = self._quiet_since_s + _LATE_GUARD_S - now_s
             if left_s <= 0.0:
                 break
             self.port.start_timeout(min(left_s, max(0.0, deadline_s - now_s)))
-            status = self.port.receive()
-            self._heard.add(self.port.dropped)
+            status = self._handler.receive(self.port)
+            self._heard.add(self._handler.dropped)
             now_s = self._clock.monotonic()
             if status is not None:
                 self._outstanding -= 1
                 self._counts["late"] += 1
                 self._heard.add_packet()
-            if status is not None or self.port.dropped:
+            if status is not None or self._handler.dropped:
                 self._quiet_since_s = now_s
             if self._outstanding > 0 and now_s >= deadline_s:
+                self._suspect_since_s = now_s
                 raise self._not_quiet(patience_s)
+        self._quiet_since_s = None
         self._mark_clean()
 
     def _not_quiet(self, patience_s: float) -> BusTimeout | BusCorrupt:
@@ -658,35 +619,17 @@ class ServoBus:
         )
 
 
-def protocol_1_text(ids: Sequence[int]) -> str:
-    """Return the hint for servos that answer in Protocol 1.0."""
-    return (
-        f"answers in Protocol 1.0 come from servo {', '.join(map(str, ids))}: set Protocol Type "
-        f"(register 13) to 2 with the servo maker's wizard"
-    )
+class _InLoop:
+    """Transactions of a period."""
 
+    def __init__(self, bus: ServoBus) -> None:
+        self._bus = bus
 
-def _ping_request(servo_id: int) -> Request:
-    return Request(servo_id, Instruction.PING, _PING_SIZE, f"ping of servo {servo_id}")
+    def __enter__(self) -> None:
+        self._before, self._bus.patient = self._bus.patient, False
 
-
-def _protocol_1(servo_id: int, code: int) -> bytes:
-    """Return a packet of Protocol 1.0 without parameters: an instruction, or an error number."""
-    body = bytes((servo_id, 2, code))
-    return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
-
-
-def _check_id(servo_id: int) -> None:
-    """Raise LimitExceeded where no servo can have an ID."""
-    if not 0 <= servo_id <= HIGHEST_ID:
-        raise LimitExceeded(f"servo ID {servo_id} is not from 0 to {HIGHEST_ID}")
-
-
-def _checked(status: StatusPacket, action: str) -> StatusPacket:
-    """Return an answer; raise ServoRejected where the servo has refused the action."""
-    if status.error:
-        raise ServoRejected(status.servo_id, status.error, action)
-    return status
+    def __exit__(self, *_error: object) -> None:
+        self._bus.patient = self._before
 
 
 def _words(*values: int) -> bytes:

@@ -1,41 +1,34 @@
-"""DYNAMIXEL Protocol 2.0: packets on a serial line, with their checksum, stuffing and time-outs.
+"""DYNAMIXEL Protocol 2.0: the packet handler of the SDK, with its stuffing corrected.
 
-Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0". Length and CRC of a packet cover its stuffed
-bytes.
+Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0". The SDK builds and finds the packets. Its own
+methods send a packet without its stuffing, and lose a byte of a packet that is stuffed twice. With
+a damaged packet they also drop a whole one behind it.
 """
 
-import struct
+from collections.abc import Sequence
 from enum import IntEnum
-from typing import NamedTuple, NoReturn, Protocol
+from typing import NamedTuple
 
-from gripper.clock import Clock
-from gripper.errors import PortLost
+from dynamixel_sdk import COMM_PORT_BUSY, COMM_SUCCESS, Protocol2PacketHandler
 
-BROADCAST_ID = 0xFE
-"""ID that all servos listen to (e-Manual, Protocol 2.0, "Packet ID")."""
-HIGHEST_ID = 252
-"""Highest ID of a servo (e-Manual, Protocol 2.0, "Packet ID")."""
+from gripper.dynamixel.serial_port import SdkPort
+from gripper.errors import BusBusy
+
+ALERT_BIT = 0x80
+"""Bit of the error byte that is set while Hardware Error Status (register 70) is not zero."""
 STATUS_OVERHEAD = 11
 """Bytes of a status packet without its parameters."""
 
-_ALERT_BIT = 0x80
-"""Bit of the error byte that is set while Hardware Error Status (register 70) is not zero."""
-_STATUS = 0x55
-"""Instruction byte of a status packet."""
-_START = b"\xff\xff\xfd\x00"
+_HEADER = b"\xff\xff\xfd"
 """First bytes of every packet."""
-_HEADER, _STUFFED = b"\xff\xff\xfd", b"\xff\xff\xfd\xfd"
-"""The same bytes inside a packet, before and after stuffing."""
+_STUFFED = _HEADER + b"\xfd"
+"""The same bytes inside a packet."""
 _ID_AT, _LENGTH_AT, _BODY_AT = 4, 5, 7
 """Offsets of ID, length (2 bytes) and instruction in a packet."""
 _CRC_SIZE = 2
 """Bytes of the CRC at the end of a packet."""
-_CRC_POLYNOMIAL = 0x8005
-"""Of the CRC-16, which begins with 0 and takes the highest bit first (e-Manual, "CRC")."""
-_LONGEST_PACKET = 1031
-"""Bytes of the longest packet that is accepted; answers here are below 300 bytes."""
-_READ_AHEAD = 256
-"""Bytes per read: answers that arrived together are read together."""
+_CRC_TABLE = tuple(Protocol2PacketHandler().updateCRC(0, (byte,), 1) for byte in range(256))
+"""The SDK's own table; its method makes it again with every call."""
 
 
 class Instruction(IntEnum):
@@ -62,171 +55,69 @@ class StatusPacket(NamedTuple):
     """Parameters, unstuffed."""
 
 
-class ByteStream(Protocol):
-    """Both directions of a serial line; raises OSError or PortLost when it is lost."""
+class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
+    """The SDK's Protocol 2.0 with byte stuffing that reaches the wire."""
 
-    def write(self, data: bytes, /) -> None:
-        """Send all bytes."""
-
-    def read(self, size: int, timeout_s: float, /) -> bytes:
-        """Return 1 to ``size`` bytes as soon as any is there, b"" after ``timeout_s`` s."""
-
-    def drop_input(self) -> None:
-        """Forget what has arrived and was not read."""
-
-    def close(self) -> None:
-        """Give the line back; may be called twice."""
-
-
-class PacketPort:
-    """Packets on any `ByteStream`, with blocking reads and monotonic time.
-
-    The time-out of an answer has three parts: time on the wire, return delay of the servo, and an
-    allowance for adapter and operating system. Bytes that arrived while the program was stopped
-    are still read; if bytes arrive without a pause, reading ends one longest packet after that.
-
-    Parameters
-    ----------
-    baudrate
-        Baud rate in bit/s that the line has; 10 bits a byte.
-    return_delay_s
-        Return Delay Time of the slowest servo (register 9) in s.
-    """
-
-    def __init__(
-        self,
-        stream: ByteStream,
-        clock: Clock,
-        *,
-        baudrate: int,
-        return_delay_s: float = 0.0005,
-        allowance_s: float = 0.0015,
-    ) -> None:
-        self._clock = clock
-        self._byte_s = 10.0 / baudrate
-        self.return_delay_s = return_delay_s
-        self.allowance_s = allowance_s
+    def __init__(self) -> None:
+        super().__init__()
         self.dropped = b""
         """Bytes that the last `receive` dropped."""
-        self.use(stream)
+        self._whole = 0
 
-    def use(self, stream: ByteStream) -> None:
-        """Replace a lost stream."""
-        self._stream = stream
-        self.lost = False
-        self._arrived = bytearray()
-        self._sent_bytes = 0
-        self._deadline_s = self._end_s = 0.0
+    def send(self, port: SdkPort, servo_id: int, instruction: int, params: bytes) -> None:
+        """Send one instruction packet; BusBusy while the port waits for another answer."""
+        high, low = divmod(len(params) + 1 + _CRC_SIZE, 256)
+        packet = [0, 0, 0, 0, servo_id, low, high, instruction, *params, 0, 0]
+        if self.txPacket(port, packet) == COMM_PORT_BUSY:
+            raise BusBusy("the SDK's port is still in use by another transaction")
 
-    def close(self) -> None:
-        """Close the stream."""
-        self._stream.close()
+    def receive(self, port: SdkPort) -> StatusPacket | None:
+        """Return the next status packet with a correct CRC; None at the port's time-out.
 
-    def send(self, servo_id: int, instruction: int, params: bytes) -> None:
-        """Send one instruction packet, and forget what has arrived."""
-        body = (bytes((instruction,)) + params).replace(_HEADER, _STUFFED)
-        packet = _START + struct.pack("<BH", servo_id, len(body) + _CRC_SIZE) + body
-        self.write(packet + struct.pack("<H", _crc16(packet)))
-
-    def write(self, data: bytes) -> None:
-        """Send bytes, and forget what has arrived."""
-        self._arrived.clear()
-        self._sent_bytes = len(data)
-        try:
-            self._stream.drop_input()
-            self._stream.write(data)
-        except (PortLost, OSError) as error:
-            self._lose(error)
-
-    def expect(self, n_bytes: int) -> None:
-        """Start the time-out for an answer of so many bytes."""
-        wire_s = self._byte_s * (n_bytes + self._sent_bytes)
-        self._sent_bytes = 0
-        self.start_timeout(wire_s + self.return_delay_s + self.allowance_s)
-
-    def start_timeout(self, duration_s: float) -> None:
-        """Start a time-out in s."""
-        self._deadline_s, self._end_s = self._clock.monotonic() + duration_s, 0.0
-
-    def read(self) -> bytes:
-        """Return the next bytes, b"" once the time-out is over and nothing is left to read."""
-        now_s = self._clock.monotonic()
-        left_s = max(0.0, self._deadline_s - now_s)
-        if left_s <= 0.0:
-            self._end_s = self._end_s or now_s + _LONGEST_PACKET * self._byte_s
-            if now_s > self._end_s:
-                return b""
-        try:
-            return self._stream.read(_READ_AHEAD, left_s)
-        except (PortLost, OSError) as error:
-            self._lose(error)
-
-    def receive(self) -> StatusPacket | None:
-        """Return the next status packet with a right CRC; None at the time-out.
-
-        After damaged bytes it starts again at the next possible start of a packet. A damaged length
-        may hide a whole packet: at the time-out it is looked for.
+        After damaged bytes it starts again at the next possible header.
         """
-        arrived, start, timed_out = self._arrived, 0, False
+        port.passed.clear()
         while True:
-            at = arrived.find(_START, start)
-            end = _end(arrived, at)
-            whole = at >= 0 and end <= len(arrived)
-            if whole and (status := _status(arrived[at:end])) is not None:
-                self.dropped = bytes(arrived[:at])
-                del arrived[:end]
-                return status
-            if whole or (timed_out and at >= 0):
-                start = at + 1
-            elif timed_out:
-                self.dropped = bytes(arrived)
-                arrived.clear()
+            packet, result = self.rxPacket(port, False)
+            if result == COMM_SUCCESS and self._whole >= STATUS_OVERHEAD:
+                self.dropped = bytes(port.passed[: -self._whole])
+                error, data = packet[_BODY_AT + 1], packet[_BODY_AT + 2 : -_CRC_SIZE]
+                alert = error >= ALERT_BIT
+                return StatusPacket(packet[_ID_AT], error % ALERT_BIT, alert, bytes(data))
+            if not packet:
+                self.dropped = bytes(port.passed)
                 return None
-            else:
-                data = self.read()
-                timed_out = not data
-                arrived += data
+            # A damaged length may hide a whole packet further on.
+            following = bytes(packet).find(_HEADER[0], 1)
+            port.unread(len(packet) - following if following > 0 else 0)
 
-    def _lose(self, error: PortLost | OSError) -> NoReturn:
-        """Note the loss of the stream, and raise it as PortLost."""
-        self.lost = True
-        if isinstance(error, PortLost):
-            raise error
-        raise PortLost(f"the servo line is lost: {error}") from error
+    def addStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802
+        """Insert FD after every FF FF FD of a packet, in place."""
+        body = bytes(packet[_BODY_AT:-_CRC_SIZE])
+        if _HEADER in body:
+            _change(packet, body.replace(_HEADER, _STUFFED))
+        return packet
 
+    def removeStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802
+        """Remove the FD after every FF FF FD of a packet, in place."""
+        self._whole = _BODY_AT + packet[_LENGTH_AT] + 256 * packet[_LENGTH_AT + 1]
+        body = bytes(packet[_BODY_AT:-_CRC_SIZE])
+        if _STUFFED in body:
+            _change(packet, body.replace(_STUFFED, _HEADER))
+        return packet
 
-def _end(data: bytearray, start: int) -> int:
-    """Return the end of the packet at a start; it may lie beyond the data."""
-    body = start + _BODY_AT
-    if len(data) < body:
-        return body
-    length = data[start + _LENGTH_AT] + 256 * data[start + _LENGTH_AT + 1]
-    # A longer one is damaged, and not waited for.
-    return body + length if _BODY_AT + length <= _LONGEST_PACKET else body
-
-
-def _status(packet: bytearray) -> StatusPacket | None:
-    """Return the content of a status packet; None for a damaged one, and for an echo."""
-    if len(packet) < STATUS_OVERHEAD or packet[_BODY_AT] != _STATUS:
-        return None
-    if _crc16(packet[:-_CRC_SIZE]) != int.from_bytes(packet[-_CRC_SIZE:], "little"):
-        return None
-    _, error, *data = packet[_BODY_AT:-_CRC_SIZE].replace(_STUFFED, _HEADER)
-    return StatusPacket(packet[_ID_AT], error % _ALERT_BIT, error >= _ALERT_BIT, bytes(data))
+    def updateCRC(  # noqa: N802
+        self, crc_accum: int, data_blk_ptr: Sequence[int], data_blk_size: int
+    ) -> int:
+        """Return the CRC of the first bytes, continued from ``crc_accum``."""
+        crc = crc_accum
+        for byte in data_blk_ptr[:data_blk_size]:
+            crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ byte]
+        return crc
 
 
-def _crc_of(byte: int) -> int:
-    crc = byte << 8
-    for _ in range(8):
-        crc = crc << 1 ^ (_CRC_POLYNOMIAL if crc & 0x8000 else 0)
-    return crc & 0xFFFF
-
-
-_CRC_TABLE = tuple(map(_crc_of, range(256)))
-
-
-def _crc16(data: bytes | bytearray) -> int:
-    crc = 0
-    for byte in data:
-        crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ byte]
-    return crc
+def _change(packet: list[int], body: bytes) -> None:
+    """Replace instruction and parameters of a packet."""
+    packet[_BODY_AT:-_CRC_SIZE] = body
+    length = len(body) + _CRC_SIZE
+    packet[_LENGTH_AT:_BODY_AT] = length.to_bytes(2, "little")

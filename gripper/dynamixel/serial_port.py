@@ -1,25 +1,51 @@
-"""Serial port of the servo bus, as a stream of bytes with a lock of its file."""
+"""Serial port of the servo bus: a stream of bytes, its lock file, and a port for the SDK.
+
+A read blocks until a byte arrives; the SDK's own port polls.
+"""
 
 import errno
 import os
 import select
 import termios
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import NoReturn, Protocol
 
 import serial
 from serial.tools import list_ports
 
 from gripper.clock import Clock
 from gripper.dynamixel.control_table import BAUD_CODES
-from gripper.dynamixel.protocol2 import ByteStream
 from gripper.errors import LimitExceeded, PortLost
 
 _WRITE_TIMEOUT_S = 0.1
 """Longest time in s for which a port may take no byte: 10,000 bytes at 1 Mbit/s."""
+_TIMER_GRAIN_S = 1e-6
+"""Margin in s by which a time-out ends early, for the rounding of floats."""
+_LONGEST_PACKET = 1031
+"""Bytes of the longest packet that the SDK accepts."""
+_READ_AHEAD = 256
+"""Bytes per read: answers that arrived together are read together."""
 _PORT_ERRORS = (serial.SerialException, OSError, termios.error)
 """Errors of pyserial and the operating system for a missing, used or lost port."""
+
+
+class ByteStream(Protocol):
+    """Both directions of a serial line; raises OSError or PortLost when it is lost."""
+
+    def write(self, data: bytes, /) -> None:
+        """Send all bytes."""
+
+    def read(self, size: int, timeout_s: float, /) -> bytes:
+        """Return 1 to ``size`` bytes as soon as any is there, b"" after ``timeout_s`` s."""
+
+    def drop_input(self) -> None:
+        """Forget what has arrived and was not read."""
+
+    def close(self) -> None:
+        """Give the line back; may be called twice."""
 
 
 def open_line(port: str | ByteStream, baudrate: int) -> tuple[ByteStream, Clock]:
@@ -149,3 +175,111 @@ def _opening_failed(path: str, error: Exception) -> str:
         f"cannot open serial port {path} ({error}): check the path and that the adapter is "
         f"plugged in. Serial ports found: {ports}"
     )
+
+
+class SdkPort:
+    """Port of the SDK's packet handler on any `ByteStream`, with blocking reads and monotonic time.
+
+    The time-out of a packet has three parts: time on the wire, return delay of the servo, and an
+    allowance for adapter and operating system. Bytes that arrived while the program was stopped
+    are still read; if bytes arrive without a pause, reading ends one longest packet after that.
+
+    Parameters
+    ----------
+    baudrate
+        Baud rate in bit/s that the line has; 10 bits a byte.
+    return_delay_s
+        Return Delay Time of the slowest servo (register 9) in s.
+    """
+
+    def __init__(
+        self,
+        stream: ByteStream,
+        clock: Clock,
+        *,
+        baudrate: int = 1_000_000,
+        return_delay_s: float = 0.0005,
+        allowance_s: float = 0.0015,
+    ) -> None:
+        self._clock = clock
+        self._byte_s = 10.0 / baudrate
+        self.return_delay_s = return_delay_s
+        self.allowance_s = allowance_s
+        self.passed = bytearray()
+        """Bytes that were read; the reader clears them."""
+        self.use(stream)
+
+    def use(self, stream: ByteStream) -> None:
+        """Replace a lost stream."""
+        self._stream = stream
+        self.is_using = self.lost = False
+        self._unanswered_bytes = 0
+        self._ahead = b""
+        self._deadline_s = self._end_s = 0.0
+
+    def close(self) -> None:
+        """Close the stream."""
+        self._stream.close()
+
+    def clearPort(self) -> None:  # noqa: N802
+        """Forget what has arrived."""
+        self._ahead = b""
+        try:
+            self._stream.drop_input()
+        except (PortLost, OSError) as error:
+            self._lose(error)
+
+    def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802
+        """Send a packet and return its length."""
+        self._unanswered_bytes = len(packet)
+        try:
+            self._stream.write(bytes(packet))
+        except (PortLost, OSError) as error:
+            self._lose(error)
+        return len(packet)
+
+    def readPort(self, length: int) -> bytes:  # noqa: N802
+        """Return up to ``length`` bytes, waiting no longer than the packet's time-out."""
+        if length <= 0:
+            return b""
+        if not self._ahead:
+            now_s = self._clock.monotonic()
+            left_s = max(0.0, self._deadline_s - now_s)
+            if left_s <= 0.0:
+                self._end_s = self._end_s or now_s + _LONGEST_PACKET * self._byte_s
+                if now_s > self._end_s:
+                    return b""
+            try:
+                self._ahead = self._stream.read(max(length, _READ_AHEAD), left_s)
+            except (PortLost, OSError) as error:
+                self._lose(error)
+        data, self._ahead = self._ahead[:length], self._ahead[length:]
+        self.passed += data
+        return data
+
+    def unread(self, length: int) -> None:
+        """Let the last bytes be read again."""
+        if length:
+            self._ahead = bytes(self.passed[-length:]) + self._ahead
+            del self.passed[-length:]
+
+    def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
+        """Start the time-out for an answer of that many bytes."""
+        wire_s = self._byte_s * (packet_length + self._unanswered_bytes)
+        self._unanswered_bytes = 0
+        self.start_timeout(wire_s + self.return_delay_s + self.allowance_s)
+
+    def start_timeout(self, duration_s: float) -> None:
+        """Start a time-out in s."""
+        self._deadline_s, self._end_s = self._clock.monotonic() + duration_s, 0.0
+
+    def isPacketTimeout(self) -> bool:  # noqa: N802
+        """Return whether the packet's time-out is over, and nothing is left to read."""
+        return not self._ahead and self._clock.monotonic() >= self._deadline_s - _TIMER_GRAIN_S
+
+    def _lose(self, error: PortLost | OSError) -> NoReturn:
+        """Note the loss of the stream, and raise it as PortLost."""
+        self.lost = True
+        if isinstance(error, PortLost):
+            raise error
+        raise PortLost(f"the servo line is lost: {error}") from error

@@ -5,7 +5,7 @@ from functools import cache
 from math import ceil
 
 from gripper.dynamixel.models import PWM_SLOPE_RAW, OperatingMode, ServoModel
-from gripper.dynamixel.protocol2 import HIGHEST_ID
+from gripper.dynamixel.transactions import HIGHEST_ID
 from gripper.errors import LimitExceeded
 from gripper.values.servo_checks import HardwareError, VerificationRow
 

@@ -31,7 +31,7 @@ from gripper.clock import Clock
 from gripper.dynamixel import control_table as table
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.models import MODELS, XM430_W350
-from gripper.dynamixel.protocol2 import ByteStream
+from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import BusTimeout, ServoRejected
 from motion import object_dictionary as motion_od
 from motion.axes import Axes, Watch

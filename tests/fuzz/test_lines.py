@@ -22,7 +22,8 @@ from gripper.dynamixel.control_table import (
     HOMING_OFFSET,
     VELOCITY_LIMIT,
 )
-from gripper.dynamixel.protocol2 import PacketPort, StatusPacket
+from gripper.dynamixel.protocol2 import CheckedPacketHandler, StatusPacket
+from gripper.dynamixel.serial_port import SdkPort
 from gripper.errors import GripperError
 from simulator.can.messages import BurstFormat, force_bytes
 from simulator.clock import VirtualClock
@@ -214,7 +215,8 @@ class Line(ScriptedStream):
     def __init__(self) -> None:
         super().__init__(VirtualClock())
         self.answer = lambda request: None
-        self.port = PacketPort(self, self.clock, baudrate=BAUD, return_delay_s=0.0, allowance_s=0.0)
+        self.handler = CheckedPacketHandler()
+        self.port = SdkPort(self, self.clock, baudrate=BAUD, return_delay_s=0.0, allowance_s=0.0)
 
     def arrive(self, data: bytes, at_s: float = 0.0) -> None:
         if data:
@@ -226,7 +228,7 @@ class Line(ScriptedStream):
 
     def receive(self) -> StatusPacket | None:
         self.port.start_timeout(0.001)
-        return self.port.receive()
+        return self.handler.receive(self.port)
 
 
 def whole_packets(wire: bytes) -> Iterator[tuple[int, int, tuple[int, bytes]]]:
@@ -311,7 +313,7 @@ def test_what_followed_an_answer_is_forgotten_with_the_next_request() -> None:
     first[5] = 40  # a damaged length
     line.arrive(bytes(first) + encode_status(2, 0, b"cd") + encode_status(2, 0, b"old"))
     assert line.receive() is not None
-    line.port.send(2, Instruction.READ, b"\0\0\4\0")
+    line.handler.send(line.port, 2, Instruction.READ, b"\0\0\4\0")
     assert line.receive() is None
 
 

@@ -3,8 +3,11 @@
 from contextlib import suppress
 
 import pytest
+from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, GroupSyncRead
 
 from gripper import ForceRamp, GripperPhase, GripperSettings, RackPinion, open_gripper
+from gripper.dynamixel.protocol2 import CheckedPacketHandler
+from gripper.dynamixel.serial_port import SdkPort, open_line
 from gripper.errors import LimitExceeded, PortLost, VerificationFailed
 from simulator import SimulatedCell, simulated_cell
 
@@ -49,3 +52,16 @@ def test_a_gripper_that_cannot_be_leaves_no_port_open() -> None:
         assert line.closed
     with pytest.raises(PortLost, match="cannot open serial port /dev/nowhere"):
         open_gripper("/dev/nowhere")
+
+
+@pytest.mark.parametrize(
+    ("knob", "result"), [("drop", COMM_RX_TIMEOUT), ("bit_flip", COMM_RX_CORRUPT)]
+)
+def test_the_groups_of_the_sdk_have_no_value_of_an_answer_that_is_lost(knob, result) -> None:
+    with simulated_cell() as sim:
+        port, place = SdkPort(*open_line(sim.servo_port, 1_000_000)), (132, 4)
+        group = GroupSyncRead(port, CheckedPacketHandler(), *place)
+        assert all(group.addParam(servo_id) for servo_id in (1, 2))
+        setattr(sim.devices.faults.servo_wire, knob, 1.0)
+        assert group.txRxPacket() == result
+        assert not group.isAvailable(2, *place)

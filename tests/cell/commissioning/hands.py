@@ -9,7 +9,7 @@ from cell.commissioning.bench import LineOpener
 from cell.commissioning.engine import Answers, Dialog, Limits, Step, Watch, WizardAborted
 from cell.commissioning.findings import Notes, ProposedChange
 from cell.simulation import open_can_bus, open_servo_port
-from gripper.dynamixel.protocol2 import ByteStream
+from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
 from simulator.cell import SimulatedCell
 from simulator.realtime.hands import Hands

@@ -16,7 +16,7 @@ from cell.errors import ConfigError
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import MODELS, XL330_M288, XM430_W350
-from gripper.dynamixel.protocol2 import ByteStream
+from gripper.dynamixel.serial_port import ByteStream
 from simulator.servo.bus import MemoryServoStream
 from simulator.servo.gearing import drawn_gearing
 from simulator.servo.mechanics import FingerMechanics, RackLinkage

@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 
-from gripper.dynamixel import bus as bus_module
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
     GOAL_CURRENT,
@@ -54,10 +53,10 @@ def test_stuffed_answer_is_sign_extended(script, bus) -> None:
 def test_alert_accompanies_data_and_is_kept(script, bus) -> None:
     script.expect("FFFFFD00 01 0700 02 4600 0100 3CA3", "FFFFFD00 01 0500 55 80 20 9921")
     assert bus.read(1, HARDWARE_ERROR_STATUS) == 0x20
-    assert 1 in bus.alerts
+    assert bus.alert(1)
     script.expect(READ_132, IS_166)
     bus.read(1, PRESENT_POSITION)
-    assert 1 not in bus.alerts
+    assert not bus.alert(1)
 
 
 @pytest.mark.parametrize("error", ["01", "02", "04", "05", "06", "07"])
@@ -242,8 +241,8 @@ def test_a_closed_bus_is_lost(script, bus) -> None:
         bus.ping(1)
 
 
-def test_another_threads_transaction_is_waited_for_only_so_long(script, bus, monkeypatch) -> None:
-    monkeypatch.setattr(bus_module, "_LOCK_TIMEOUT_S", 0.01)
+def test_another_threads_transaction_is_waited_for_only_so_long(script, clock) -> None:
+    bus = ServoBus(script, baudrate=1_000_000, clock=clock, lock_timeout_s=0.01)
     entered, leave = threading.Event(), threading.Event()
 
     def occupy() -> None:

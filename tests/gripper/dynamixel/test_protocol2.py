@@ -1,30 +1,21 @@
-"""Packets on the line: stuffing as the vendor describes it, and bounded waits."""
-
 import pytest
+from dynamixel_sdk import COMM_PORT_BUSY, Protocol2PacketHandler
 
-from gripper.dynamixel.protocol2 import Instruction, PacketPort
-
-
-def test_a_write_that_looks_like_a_header_is_stuffed(script, clock) -> None:
-    script.expect("fffffd00010a00037400fffffdfdff23e5")
-    port = PacketPort(script, clock, baudrate=1_000_000)
-    port.send(1, Instruction.WRITE, b"\x74\x00" + (-131073).to_bytes(4, "little", signed=True))
+from gripper.dynamixel.protocol2 import CheckedPacketHandler, Instruction
+from gripper.dynamixel.serial_port import SdkPort
+from gripper.errors import BusBusy
 
 
-def test_the_port_times_out_after_wire_delay_and_allowance(script, clock) -> None:
-    port = PacketPort(script, clock, baudrate=1_000_000, return_delay_s=0.0005, allowance_s=0.001)
-    script.expect("00" * 20)
-    port.write(bytes(20))
-    port.expect(30)
-    assert port.read() == b""
-    assert clock.monotonic() == pytest.approx(0.0005 + 0.0005 + 0.001)
+def test_the_sdk_itself_sends_the_stuffed_write_wrongly_and_ours_rightly(script, clock) -> None:
+    data = list((-131073).to_bytes(4, "little", signed=True))
+    script.expect("fffffd00010900037400fffffdffcb05").expect("fffffd00010a00037400fffffdfdff23e5")
+    for handler in (Protocol2PacketHandler(), CheckedPacketHandler()):
+        handler.writeTxOnly(SdkPort(script, clock), 1, 116, 4, data)
 
 
-def test_bytes_without_a_pause_are_read_for_one_longest_packet_more(script, clock) -> None:
-    port = PacketPort(script, clock, baudrate=1_000_000, return_delay_s=0.0, allowance_s=0.001)
-    script.chatter = b"\xa5"
-    port.start_timeout(0.002)
-    clock.sleep(0.05)
-    while port.read():
-        pass
-    assert 0.010 < clock.monotonic() - 0.05 < 0.011
+def test_a_port_in_use_is_busy(script, clock) -> None:
+    port = SdkPort(script, clock)
+    port.is_using = True
+    assert CheckedPacketHandler().txPacket(port, [0] * 10) == COMM_PORT_BUSY
+    with pytest.raises(BusBusy):
+        CheckedPacketHandler().send(port, 1, Instruction.PING, b"")

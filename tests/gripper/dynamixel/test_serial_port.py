@@ -9,7 +9,7 @@ from contextlib import suppress
 
 import pytest
 
-from gripper.dynamixel.serial_port import SerialStream, latency_timer_ms, serial_candidates
+from gripper.dynamixel.serial_port import SdkPort, SerialStream, latency_timer_ms, serial_candidates
 from gripper.errors import LimitExceeded, PortLost
 from tests.values import raising
 
@@ -102,3 +102,24 @@ def test_a_long_write_goes_through_and_an_adapter_that_takes_nothing_is_lost(ter
     with pytest.raises(PortLost, match="it takes no data"):
         stream.write(data)
     stream.close()
+
+
+def test_the_port_times_out_after_wire_delay_and_allowance(script, clock) -> None:
+    port = SdkPort(script, clock, baudrate=1_000_000, return_delay_s=0.0005, allowance_s=0.001)
+    script.expect("00" * 20)
+    port.writePort(bytes(20))
+    port.setPacketTimeout(30)
+    assert port.readPort(4) == b""
+    assert port.isPacketTimeout()
+    assert clock.monotonic() == pytest.approx(0.0005 + 0.0005 + 0.001)
+
+
+def test_bytes_without_a_pause_are_read_for_one_longest_packet_more(script, clock) -> None:
+    port = SdkPort(script, clock, baudrate=1_000_000, return_delay_s=0.0, allowance_s=0.001)
+    script.chatter = b"\xa5"
+    port.start_timeout(0.002)
+    clock.sleep(0.05)
+    while port.readPort(4):
+        pass
+    assert 0.010 < clock.monotonic() - 0.05 < 0.011
+    assert port.isPacketTimeout()
