@@ -157,10 +157,8 @@ class QualityWatch:
         tare, good = self._tare, taxels[~void[taxels]]
         if tare is None or 2 * len(good) <= len(taxels):
             return ""
-        drift, limit = (
-            float(np.median(tared[good])),
-            self._limits.drift_share * self._layout.adc_max,
-        )
+        drift = float(np.median(tared[good]))
+        limit = self._limits.drift_share * self._layout.adc_max
         if abs(drift) <= limit:
             return ""
         # Noise alone may move the median further.
