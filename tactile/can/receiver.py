@@ -12,8 +12,9 @@ from itertools import islice
 
 import can
 
+from tactile.can.bus import MissingBus
 from tactile.clock import Clock
-from tactile.errors import BusOff, ReceiveLoopDead
+from tactile.errors import BusOff, LinkFault, ReceiveLoopDead
 
 Stamped = tuple[float, can.Message]
 """Monotonic time of reception in s, and the message."""
@@ -157,6 +158,14 @@ class ThreadedReceiver(PolledSource):
         if self._thread is not None:
             self._thread.join(_JOIN_S)
             self._thread = None
+
+
+def reopened(
+    bus: can.BusABC, fault: LinkFault | None, reopen: Callable[[], can.BusABC] | None
+) -> can.BusABC:
+    """Return the bus for a new start; one that is missing, or was lost by a fault, is reopened."""
+    lost = isinstance(bus, MissingBus) or isinstance(fault, BusOff | ReceiveLoopDead)
+    return reopen() if lost and reopen is not None else bus
 
 
 def message_source(bus: can.BusABC, clock: Clock) -> PolledSource:

@@ -155,16 +155,22 @@ class PolledSdoClient(SdoClient):
         self._answers += 1
         super().on_response(can_id, data, timestamp)  # type: ignore[no-untyped-call]
 
-    def read_response(self) -> bytes:
-        """Wait for a response; SdoNotAnswered after the time-out; a short one is refused."""
-        deadline_s = self._clock.monotonic() + self._timeout_s
+    def until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Process messages until a condition holds; return whether it holds within a time in s."""
+        deadline_s = self._clock.monotonic() + timeout_s
         self._service()
-        while self.responses.empty():
+        while not condition():
             left_s = deadline_s - self._clock.monotonic()
             if left_s <= 0.0:
-                raise SdoNotAnswered(f"no SDO response within {self._timeout_s:g} s")
+                return False
             self._wait(left_s)
             self._service()
+        return True
+
+    def read_response(self) -> bytes:
+        """Wait for a response; SdoNotAnswered after the time-out; a short one is refused."""
+        if not self.until(lambda: not self.responses.empty(), self._timeout_s):
+            raise SdoNotAnswered(f"no SDO response within {self._timeout_s:g} s")
         response: bytes = self.responses.get_nowait()
         if len(response) != _SDO_BYTES:
             raise SdoCommunicationError(

@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TypeVar
 
 import can
 import canopen
@@ -17,19 +16,13 @@ import numpy as np
 from canopen.nmt import NMT_COMMANDS
 
 from tactile import errors
-from tactile.can.bus import MissingBus, bad_lines
-from tactile.can.receiver import interface_failed, message_source, of_another_kind
+from tactile.can.bus import bad_lines
+from tactile.can.receiver import interface_failed, message_source, of_another_kind, reopened
 from tactile.can.sdo_client import PolledSdoClient
 from tactile.clock import Clock
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.settings import LinkSettings, NodeIdentity
-from tactile.control_unit.setup import (
-    Check,
-    refuse_mismatch,
-    refuse_other_unit,
-    set_up,
-    set_up_forces,
-)
+from tactile.control_unit.setup import refuse_mismatch, refuse_other_unit, set_up, set_up_forces
 from tactile.control_unit.watch import OPERATIONAL, ForceFlow, FrameFlow, NodeWatch
 from tactile.frames.force_message import encode_zero
 from tactile.frames.transport import FrameAssembler, FrameFormat
@@ -43,8 +36,6 @@ from tactile.source import (
     SourceStatistics,
     TactileFrame,
 )
-
-_Result = TypeVar("_Result")
 
 _TRIPS = 10
 """Number of answers; one of them must come in time. A busy host may delay some."""
@@ -210,14 +201,13 @@ class TactileLink:
         """
         if self._running:
             raise errors.LinkStateError("the link runs already: stop it before starting again")
-        lost = isinstance(self.fault, errors.BusOff | errors.ReceiveLoopDead)
-        if self._reopen is not None and (lost or isinstance(self._bus, MissingBus)):
-            self._bus = self._reopen()
-            self._source = message_source(self._bus, self._clock)
+        self._bus = reopened(self._bus, self.fault, self._reopen)
+        self._source = message_source(self._bus, self._clock)
         self._running = True
         self.fault = None
         self._reset()
-        return self._guarded(self._commission)
+        with self._latching():
+            return self._commission()
 
     @contextmanager
     def reading(self) -> Iterator[PolledSdoClient]:
@@ -274,7 +264,8 @@ class TactileLink:
 
     def poll(self) -> Arrivals:
         """Return the complete frames and force messages since the last call; does not wait."""
-        self._guarded(self._service)
+        with self._latching():
+            self._service()
         frames = tuple(self._frames)
         self._frames.clear()
         return Arrivals(frames, self._take_forces())
@@ -296,8 +287,7 @@ class TactileLink:
             return
         order, adc_max = self._mounting.zero_order, self.layout.adc_max
         sent = encode_zero(zero.touch_counts, zero.offset_counts[order], zero.bad[order], adc_max)
-
-        def write() -> None:
+        with self._latching():
             self.objects[od.FORCE_ZERO].raw = sent
             written_s = self._clock.monotonic()
             self._take_forces()
@@ -309,13 +299,9 @@ class TactileLink:
             late_s = max(old_s, default=written_s) - written_s + 0.5 * self.settings.force_period_s
             if len(old_s) > 1 and late_s > self.settings.force_late_s:
                 raise flow.too_late(late_s)
-            refuse_mismatch(
-                [Check("zero of the force", sent.hex(), stored.hex())],
-                f"{self._name} did not keep its zero",
-            )
+            zeros = ("zero of the force", sent.hex(), stored.hex())
+            refuse_mismatch([zeros], f"{self._name} did not keep its zero")
             self._take_forces()
-
-        self._guarded(write)
 
     def stop(self) -> None:
         """Stop the frames and the receiver; does not raise on a dead bus, leaves the bus open."""
@@ -329,14 +315,15 @@ class TactileLink:
                 self.fault = self.fault or fault
         self._source.close()
 
-    def _guarded(self, action: Callable[[], _Result]) -> _Result:
-        """Return the result of an action that needs a link without a fault; a fault latches."""
+    @contextmanager
+    def _latching(self) -> Iterator[None]:
+        """Require a running link without a fault; a fault in the block latches."""
         if self.fault is not None:
             raise self.fault
         if not self._running:
             raise errors.LinkStateError("the link is not running: start it first")
         try:
-            return action()
+            yield
         except errors.LinkFault as fault:
             self.fault = fault
             self._next_sync_s = None
@@ -385,19 +372,13 @@ class TactileLink:
     def _wait_for(self, condition: Callable[[], bool], failure: str) -> None:
         """Service until a condition holds; NodeMissing with ``failure`` after the start-up time."""
         timeout_s = self.settings.startup_timeout_s
-        deadline_s = self._clock.monotonic() + timeout_s
-        self._service()
-        while not condition():
-            left_s = deadline_s - self._clock.monotonic()
-            if left_s <= 0.0:
-                heard = ", ".join(str(node) for node in sorted(self._network.scanner.nodes))
-                nodes = f"node-IDs heard: {heard}" if heard else "no node is heard on this bus"
-                raise errors.NodeMissing(
-                    f"{self._name} {failure} within {timeout_s:g} s; {nodes}. Check the unit's "
-                    "supply, node-ID, bit rate, CAN cable and termination"
-                )
-            self._source.wait(left_s)
-            self._service()
+        if not self.objects.until(condition, timeout_s):
+            heard = ", ".join(str(node) for node in sorted(self._network.scanner.nodes))
+            nodes = f"node-IDs heard: {heard}" if heard else "no node is heard on this bus"
+            raise errors.NodeMissing(
+                f"{self._name} {failure} within {timeout_s:g} s; {nodes}. Check the unit's "
+                "supply, node-ID, bit rate, CAN cable and termination"
+            )
 
     def _send(self, cob_id: int, data: bytes) -> None:
         try:

@@ -1,7 +1,6 @@
 """Setup of the control unit: checks of its identity and taxels, then its periods and its table."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from tactile.can.sdo_client import PolledSdoClient
 from tactile.control_unit import object_dictionary as od
@@ -26,18 +25,8 @@ _CHECK_STORED = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One row of a comparison; ``expected`` None accepts anything."""
-
-    what: str
-    expected: int | str | None
-    actual: int | str
-
-    @property
-    def ok(self) -> bool:
-        """Whether the found value is accepted."""
-        return self.expected is None or self.expected == self.actual
+Check = tuple[str, int | str | None, int | str]
+"""One row of a comparison: name, expected and found value. None as expected accepts anything."""
 
 
 def read_identity(objects: PolledSdoClient) -> NodeIdentity:
@@ -61,12 +50,12 @@ def identity_checks(
     The upper 16 bits of the revision are the behaviour on the bus (CiA 301), the lower may differ.
     """
     return [
-        Check("vendor-ID", od.VENDOR_ID, identity.vendor_id),
-        Check("product code", od.PRODUCT_CODE, identity.product_code),
-        Check("major revision", od.REVISION >> 16, identity.revision >> 16),
-        Check("serial number", serial, identity.serial),
+        ("vendor-ID", od.VENDOR_ID, identity.vendor_id),
+        ("product code", od.PRODUCT_CODE, identity.product_code),
+        ("major revision", od.REVISION >> 16, identity.revision >> 16),
+        ("serial number", serial, identity.serial),
         *(
-            Check(f"pads' board of finger {finger}", board, identity.boards[finger])
+            (f"pads' board of finger {finger}", board, identity.boards[finger])
             for finger, board in enumerate(boards or ())
         ),
     ]
@@ -100,11 +89,11 @@ def refuse_other_unit(
         **objects.defaults("TPDO1 mapping parameter"),
     }
     unit_hash = objects["Taxel layout.Layout hash"].raw
-    layout_check = Check("Layout hash", layout.layout_hash, unit_hash)
+    layout_check = ("Layout hash", layout.layout_hash, unit_hash)
     refuse_mismatch([layout_check, *_checks(objects, expected_numbers)], other)
     stored = [
         *_checks(objects, {_FRAMES_TYPE: objects[_FRAMES_TYPE].od.default}),
-        Check(objects.label(_SYNC_OVERFLOW), 0, objects.find(_SYNC_OVERFLOW) or 0),
+        (objects.label(_SYNC_OVERFLOW), 0, objects.find(_SYNC_OVERFLOW) or 0),
     ]
     refuse_mismatch(stored, f"{objects.name} has stored values that do not fit", _CHECK_STORED)
     return identity
@@ -112,14 +101,10 @@ def refuse_other_unit(
 
 def _checks(objects: PolledSdoClient, expected: Mapping[str, int]) -> list[Check]:
     """Read unsigned objects, and return them with their expected values."""
-    return [
-        Check(
-            objects.label(name),
-            number,
-            objects[name].raw & (_COB_ID_MASK if name in _COB_IDS else -1),
-        )
-        for name, number in expected.items()
-    ]
+    found = {
+        name: objects[name].raw & (_COB_ID_MASK if name in _COB_IDS else -1) for name in expected
+    }
+    return [(objects.label(name), number, found[name]) for name, number in expected.items()]
 
 
 def _in_words(value: int | str | None) -> str:
@@ -128,13 +113,13 @@ def _in_words(value: int | str | None) -> str:
 
 def refuse_mismatch(checks: list[Check], problem: str, advice: str = _CHECK_CONFIG) -> None:
     """Raise IdentityMismatch with expected and found values if any check failed."""
-    failed = [check for check in checks if not check.ok]
+    failed = [
+        f"{what}: expected {_in_words(expected)}, found {_in_words(found)}"
+        for what, expected, found in checks
+        if expected not in (None, found)
+    ]
     if failed:
-        rows = "; ".join(
-            f"{check.what}: expected {_in_words(check.expected)}, found {_in_words(check.actual)}"
-            for check in failed
-        )
-        raise IdentityMismatch(f"{problem}: {rows}. {advice}")
+        raise IdentityMismatch(f"{problem}: {'; '.join(failed)}. {advice}")
 
 
 def set_up(objects: PolledSdoClient, settings: LinkSettings) -> None:
@@ -177,6 +162,6 @@ def set_up_forces(
     objects[od.FORCES_TIMER].raw = numbers[od.FORCES_TIMER]
     stored = objects[od.FORCE_TABLE].raw
     text = stored[-2:].hex() if stored == table else f"{len(stored)} bytes of another table"
-    checks = [Check(od.FORCE_TABLE, table[-2:].hex(), text), *_checks(objects, numbers)]
+    checks = [(od.FORCE_TABLE, table[-2:].hex(), text), *_checks(objects, numbers)]
     refuse_mismatch(checks, "the control unit did not keep the set-up of its force messages")
     return frame_id

@@ -12,10 +12,9 @@ import can
 import numpy as np
 
 from tactile.board_source import Board, PolledBoards
-from tactile.can.bus import MissingBus
-from tactile.can.receiver import interface_failed, message_source, of_another_kind
+from tactile.can.receiver import interface_failed, message_source, of_another_kind, reopened
 from tactile.clock import Clock
-from tactile.errors import BusOff, DuplicateNode, ReceiveLoopDead
+from tactile.errors import BusOff, DuplicateNode
 from tactile.layout import TaxelLayout
 from tactile.source import TactileFrame
 from tactile.uskin.messages import FULL_SCALE, PERIOD_S, START, BoardIds, check_layout, samples
@@ -148,10 +147,8 @@ class UskinSource(PolledBoards[_Board]):
 
     def open(self) -> None:
         """Open a lost bus again, and start both boards."""
-        lost = isinstance(self._fault, BusOff | ReceiveLoopDead)
-        if self._reopen is not None and (lost or isinstance(self._bus, MissingBus)):
-            self._bus = self._reopen()
-            self._source = message_source(self._bus, self.clock)
+        self._bus = reopened(self._bus, self._fault, self._reopen)
+        self._source = message_source(self._bus, self.clock)
         self._source.start()
         for board in self._boards:
             try:
