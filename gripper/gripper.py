@@ -478,8 +478,6 @@ class Gripper:
                     end_m = max(near_m, wide_m - _FREE_S * speed_m_s) if closes else wide_m
                     move = MoveTo(settings, linkage, state, aperture_m=end_m, speed_m_s=speed_m_s)
                     self._run_free(move, state)
-            # The back-EMF is known now.
-            self._free.compare()
 
     def release(self, observer: Observer | None = None) -> ReleaseReport:
         """Let go: open to aperture_open_m. The only command that lets a part go.

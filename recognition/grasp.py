@@ -61,10 +61,6 @@ class SelfZero(Numbers):
     log_gain_ratio: float
     log_gain_ratio_sd: float
     """Logarithm of the gain of finger 0's pad over that of finger 1's: both carry one force."""
-    log_scale: float
-    log_scale_sd: float
-    """Logarithm of the counts of a pad, mean of both, for the force of each A more of motors with
-    the catalogue's motor constant."""
     log_stiffness: float
     log_stiffness_sd: float
     """Logarithm of the counts of a pad, mean of both, for each mm that both yield together."""

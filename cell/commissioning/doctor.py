@@ -25,7 +25,7 @@ from cell.control.self_zero import drive_text, stored_zeros
 from cell.errors import CellError
 from cell.hand.connections import MISSING
 from cell.hand.interface import FORCE_FROM_FRAMES
-from gripper.dynamixel.drive import DriveCharacteristic, disagreement
+from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import model_name
 from gripper.errors import AnswersOff, GripperError, VerificationFailed
 from gripper.force.approach.mechanics_proof import POSITION_ITEM
@@ -129,7 +129,7 @@ def _self_zero(config: CellConfig, named: str) -> Finding:
 def _drives(config: CellConfig, named: str) -> Finding:
     """Return the measured characteristics of the servos' drives, beside the catalogue."""
     zeros = stored_zeros(config, Path(config.recording.directory), new_hand=False)
-    texts, drives, advice = list[str](), list[DriveCharacteristic](), ""
+    texts, advice, disagrees = list[str](), "", False
     for servo in config.gripper_settings.servos:
         if not zeros.measured_servo(servo.servo_id):
             texts.append(f"servo {servo.servo_id}: not measured, catalogue values within 30 %")
@@ -139,9 +139,9 @@ def _drives(config: CellConfig, named: str) -> Finding:
         at = datetime.fromtimestamp(drive.measured_s)
         where = "" if drive.temperature_c is None else f" at {drive.temperature_c:.0f} C"
         texts.append(f"{drive_text(servo, drive)}, {at:%Y-%m-%d}{where}")
-        drives.append(drive)
+        disagrees |= drive.disagreement(servo.servo_model) != 1.0
     advice *= config.gripper.pads_meet
-    if any(map(disagreement, [drives, *([drive] for drive in drives)])):
+    if disagrees:
         advice = (
             "pads and motor constant disagree: press a known weight on the pads with "
             "`tactile-cell commission --redo pads_law`"

@@ -24,7 +24,6 @@ from cell.hand.interface import Hand
 from cell.hand.local import open_hand
 from gripper.errors import GripperError
 from gripper.force.ramp import ForceRamp
-from gripper.mechanics.identification import weighed
 from gripper.servos.watchdog_proof import proof_travel_m
 from gripper.settings import largest_setpoint_n
 from gripper.values.outcome import GraspOutcome, GraspResult
@@ -255,8 +254,6 @@ class _Trial:
         folder = None if config.simulated else self.bench.folder / config.recording.directory
         zeros = stored_zeros(config, folder)
         drives, remarks = self.hand.read_drives()
-        if "factor" in self.bench.values.get("pads_law", {}):  # weights have confirmed the pads
-            drives = {servo_id: weighed(drive) for servo_id, drive in drives.items()}
         zeros.keep_drives(drives, self.homing)
         notes.values["drives"] = {str(number): asdict(drive) for number, drive in drives.items()}
         for servo in config.gripper_settings.servos:

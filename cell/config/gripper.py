@@ -254,7 +254,7 @@ def measured_drive(path: Path, model: ServoModel) -> DriveCharacteristic:
     if (rising := values.get("rising_a_nm")) is not None:
         kt_nm_a = 1.0 / rising
         changes |= {"rising_a_nm": rising, "falling_a_nm": rising, "kt_nm_a": kt_nm_a}
-        changes |= {"load_sd": _SCALE_SD, "kt_sd": _SCALE_SD}
+        changes["load_sd"] = _SCALE_SD
     if (falling := values.get("falling_a_nm")) is not None:
         changes |= {"falling_a_nm": falling, "falling_sd": _SCALE_SD}
     if (coulomb := values.get("coulomb_a")) is not None:

@@ -83,17 +83,12 @@ class GraspCollector:
     """As in `recognition.grasp.Grasp`."""
     cycles: list[Cycle] = field(default_factory=list)
     """All periods so far, in order."""
-    _frames: list[tuple[TactileFrame, Cycle, float]] = field(default_factory=list)
-    _since_frame_n: list[float] = field(default_factory=list)
+    _frames: list[tuple[TactileFrame, Cycle]] = field(default_factory=list)
 
     def add(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
         """Add one period of the force loop and the frames that arrived in it."""
         self.cycles.append(cycle)
-        self._since_frame_n.append(0.0 if cycle.force is None else cycle.force.grip_n)
-        if frames:
-            mean_n = sum(self._since_frame_n) / len(self._since_frame_n)
-            self._frames += [(frame, cycle, mean_n) for frame in frames]
-            self._since_frame_n.clear()
+        self._frames += [(frame, cycle) for frame in frames]
 
     @property
     def n_frames(self) -> int:
@@ -105,17 +100,12 @@ class GraspCollector:
         """Counts of all frames, (n_frames, n_taxels). Raises ValueError if no frame came."""
         if not self._frames:
             raise ValueError("no tactile frame came")
-        return np.stack([frame.counts for frame, _, _ in self._frames])
-
-    @property
-    def pads_n(self) -> NDArray[np.float64]:
-        """Mean force by the law of the pads in N from one frame to the next, (n_frames,)."""
-        return np.array([mean_n for _, _, mean_n in self._frames])
+        return np.stack([frame.counts for frame, _ in self._frames])
 
     def during(self, spans: Sequence[TimeSpan]) -> NDArray[np.int64]:
         """Return (n_frames,) int64: number of the span in which a frame came; -1 outside of all."""
         number = np.full(self.n_frames, -1)
-        come_s = np.array([cycle.t_s for _, cycle, _ in self._frames])
+        come_s = np.array([cycle.t_s for _, cycle in self._frames])
         for i, span in enumerate(spans):
             number[(come_s > span.since_s) & (come_s <= span.until_s)] = i
         return number
@@ -123,13 +113,13 @@ class GraspCollector:
     def grasp(self, label: str = "", command: GraspCommand | None = None) -> Grasp:
         """Return the collected grasp. Raises ValueError if no frame came."""
         counts = self.counts
-        t_s = np.array([frame.t_s for frame, _, _ in self._frames])
+        t_s = np.array([frame.t_s for frame, _ in self._frames])
         return Grasp(
             pads=self.pads,
             counts=counts,
             t_s=t_s - t_s[0],
-            aperture_m=np.array([cycle.state.aperture_m for _, cycle, _ in self._frames]),
-            force_n=np.array([cycle.setpoint_n for _, cycle, _ in self._frames]),
+            aperture_m=np.array([cycle.state.aperture_m for _, cycle in self._frames]),
+            force_n=np.array([cycle.setpoint_n for _, cycle in self._frames]),
             label=label,
             source=self.source,
             start_ms=self.start_ms,

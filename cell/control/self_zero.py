@@ -338,8 +338,7 @@ def drive_text(servo: ServoSettings, drive: DriveCharacteristic) -> str:
     return (
         f"servo {servo.servo_id}: friction {drive.breakaway_a:.3f} A "
         f"(±{100 * drive.friction_sd:.0f} %, catalogue {usual.breakaway_a:.3f}), {torque}, "
-        f"falling {1.0 / drive.falling_a_nm:.2f} (catalogue {model.kt_nm_a:.2f}), motor constant "
-        f"{drive.kt_nm_a:.2f} (±{100 * drive.kt_sd:.0f} %)"
+        f"falling {1.0 / drive.falling_a_nm:.2f} (catalogue {model.kt_nm_a:.2f})"
     )
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from statistics import fmean
 
 from cell.config.model import CellConfig
 from cell.control.journal import Journal
@@ -20,13 +19,13 @@ from cell.control.states import Event
 from cell.control.watch import MotionWatch
 from cell.errors import ZeroRefused
 from cell.hand.interface import Hand, OnPeriod
-from gripper.dynamixel.drive import DriveCharacteristic, DriveReport, pad_gain
+from gripper.dynamixel.drive import DriveCharacteristic, DriveReport
 from gripper.errors import PartBetweenFingers
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.kinematics import opening_steps_m
 from gripper.values.outcome import GraspOutcome
 from gripper.values.state import Cycle, TimeSpan
-from recognition.drift.self_zero import ZeroMeasurement, anchored, measure_zero, shows_part
+from recognition.drift.self_zero import ZeroMeasurement, measure_zero, shows_part
 from tactile.sensor.tare import TareResult
 from tactile.source import TactileFrame
 
@@ -161,8 +160,6 @@ class Zeroing:
             zeroed = self._zeroed(collector, alone)
         self.hand.measure_friction(self.watch.motion)
         self._note_each_drive()
-        gain = pad_gain(list(self.note_drives().drives.values()))
-        zeroed = anchored(zeroed, _catalogue_n_a(self.config), gain.log_gain, gain.log_sd)
         self.zeros.keep(zeroed.zero)
         self.journal.note("self_zero", zero_text(zeroed))
         if self.zeros.unkept:
@@ -205,7 +202,6 @@ class Zeroing:
         """Return the measurement by the frames so far; ``alone``: when one finger moved alone."""
         return measure_zero(
             collector.grasp(),
-            collector.pads_n,
             self.hand.layout.gripping_pads,
             step_m=sum(opening_steps_m(self.config.gripper_settings, self.config.linkage)),
             alone=collector.during(alone),
@@ -218,12 +214,3 @@ class Zeroing:
             drive = report.drives.get(servo.servo_id)
             if drive is not None:
                 self.journal.note("servo drive", drive_text(servo, drive))
-
-
-def _catalogue_n_a(config: CellConfig) -> float:
-    """Return the grip force in N of closed fingers for each A, by the catalogue's constants."""
-    linkage, servos = config.linkage, config.gripper_settings.servos
-    return fmean(
-        servo.servo_model.kt_nm_a / linkage.effective_radius_m(closed_rad)
-        for closed_rad, servo in zip(linkage.angles_rad(0.0), servos, strict=True)
-    )

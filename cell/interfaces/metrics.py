@@ -31,11 +31,6 @@ _DRIVES: tuple[tuple[str, str, dict[str, str]], ...] = (
         "Measured growth of a servo's current with a load that rises, or falls",
         {"rising": "rising_a_nm", "falling": "falling_a_nm"},
     ),
-    (
-        "servo_motor_constant_newton_metres_per_ampere",
-        "Torque of a servo for its current, by catalogue and back-EMF",
-        {"": "kt_nm_a"},
-    ),
 )
 """Name and meaning of each measured value of the servos, and its key by direction."""
 _Labelled = Sequence[tuple[Mapping[str, str], float]]

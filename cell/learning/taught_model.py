@@ -23,7 +23,6 @@ from cell.recording.dataset import read_dataset, write_dataset
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift, drift_text
 from recognition.drift.grid import DriftFollowing, DriftGrid
-from recognition.drift.self_zero import foam_change
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
@@ -301,12 +300,6 @@ class TaughtModel:
         recognizer = self.recognizer
         if not isinstance(recognizer, DriftFollowing):
             return
-        today = records[-1].grasp.zero if records else None
-        if recognizer.zero and today and (times := foam_change(recognizer.zero, today)):
-            yield (
-                f"the foam is {times:.1f} times as stiff as at the teaching, so fewer parts get a "
-                "name: look at the pads, and teach again if they are new"
-            )
         if recognizer.zero is None and any(one.grasp.zero is not None for one in records):
             yield (
                 "the model was taught without a self-zero, so today's self-zero is not used and "

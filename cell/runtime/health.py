@@ -52,7 +52,7 @@ def _drive(drive: DriveCharacteristic | None) -> dict[str, Any] | None:
     """Return the measured values of a servo; None without a measurement."""
     if drive is None:
         return None
-    names = ("breakaway_a", "rising_a_nm", "falling_a_nm", "kt_nm_a", "measured_s")
+    names = ("breakaway_a", "rising_a_nm", "falling_a_nm", "measured_s")
     return {name: getattr(drive, name) for name in names}
 
 

@@ -4,14 +4,13 @@ Two measured lines bound the load that a current holds: the load rises at ``risi
 breakaway_a``, and falls at ``falling_a_nm * load - yielding_share * breakaway_a``, where that is
 above 0 A. Below 0 A the motor helps the load to fall; the load is gone at ``-breakaway_a``. In free
 motion the current is ``offset_a +- friction_a(speed)``. Loads are torques at the output by the
-force of the pads; only ``kt_nm_a`` does not depend on the pads.
+force of the pads; only ``kt_nm_a`` and ``back_emf_v_s`` do not depend on the pads.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import exp, inf, isclose, log, sqrt
-from statistics import fmean
+from math import exp, hypot, inf, log
 from typing import Any, NamedTuple, Self
 
 from gripper.dynamixel.models import KT_SD, ServoModel
@@ -63,14 +62,9 @@ class DriveCharacteristic:
     falling_sd: float = _FALLING_SD
     """Uncertainty of ``falling_a_nm`` and ``yielding_share``."""
     kt_nm_a: float
-    """Torque at the output in N m for each A of a rising load, by catalogue and back-EMF."""
-    kt_sd: float = KT_SD
-    """Its uncertainty."""
+    """Torque at the output in N m for each A of a rising load, by catalogue or bench."""
     back_emf_v_s: float | None = None
     """Voltage in V that the motor makes for each rad/s of the output; None: not measured."""
-    kt_per_back_emf: float | None = None
-    """Motor constant over back-EMF, by pads that weights have shown to be right; None: the model's.
-    """
     temperature_c: float | None = None
     """Temperature of the servo in degrees Celsius; None: not measured."""
     measured_s: float = 0.0
@@ -94,7 +88,6 @@ class DriveCharacteristic:
             falling_a_nm=model.falling_share / model.kt_nm_a,
             load_sd=model.kt_sd,
             kt_nm_a=model.kt_nm_a,
-            kt_sd=model.kt_sd,
         )
 
     @property
@@ -102,11 +95,13 @@ class DriveCharacteristic:
         """Whether the friction was measured."""
         return self.friction_sd < _FRICTION_SD
 
-    @property
-    def pressed(self) -> bool:
-        """Whether the load was measured by pads; otherwise it follows from the motor constant."""
-        follows = isclose(self.rising_a_nm * self.kt_nm_a, 1.0, rel_tol=1e-9)
-        return self.kt_per_back_emf is not None or not follows
+    def disagreement(self, model: ServoModel) -> float:
+        """Return the torque for current by the pads over that by the motor constant; 1: they agree.
+
+        A weak pad and a weak motor of the model look alike.
+        """
+        times = 1.0 / (self.rising_a_nm * self.kt_nm_a)
+        return 1.0 if abs(log(times)) <= SIGMAS * hypot(self.load_sd, model.kt_sd) else times
 
     @property
     def once_measured(self) -> Self:
@@ -166,36 +161,6 @@ class DriveCharacteristic:
     def moving_a(self, speed_rad_s: float) -> float:
         """Return the larger one of the friction currents in A at rest and at a speed in rad/s."""
         return max(self.breakaway_a, self.friction_a(speed_rad_s))
-
-
-class PadGain(NamedTuple):
-    """Newtons by the law of the pads over those by the motor constants of some servos."""
-
-    log_gain: float
-    log_sd: float
-    """Natural logarithm and its standard deviation; infinite if the pads have measured no load."""
-
-
-def pad_gain(drives: Sequence[DriveCharacteristic]) -> PadGain:
-    """Return the mean gain of the pads by some servos, whose motor constants err apart.
-
-    Motor constants are anchored to the back-EMF or to weights, and no pad changes them.
-    """
-    if not drives or not all(drive.pressed for drive in drives):
-        return PadGain(0.0, inf)
-    variances = (drive.load_sd**2 + drive.kt_sd**2 for drive in drives)
-    log_gain = -fmean(log(drive.rising_a_nm * drive.kt_nm_a) for drive in drives)
-    return PadGain(log_gain, sqrt(sum(variances)) / len(drives))
-
-
-def disagreement(drives: Sequence[DriveCharacteristic]) -> float:
-    """Return the logarithm of the torque by pads over that by the motor constants; 0: they agree.
-
-    The catalogue alone is no anchor: a weak pad and a weak motor look alike.
-    """
-    gain = pad_gain(drives)
-    agrees = abs(gain.log_gain) <= SIGMAS * gain.log_sd
-    return 0.0 if agrees or any(drive.kt_sd >= KT_SD for drive in drives) else gain.log_gain
 
 
 class Drives:

@@ -2,7 +2,7 @@
 
 Free motion gives the friction in A and, with its voltages, the back-EMF. Fingers that press on each
 other give A for each N m: friction locks one, the other one moves slowly. Neither separates the
-motor constant from the gain of the pads: the back-EMF is the reference.
+motor constant from the gain of the pads.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,14 +28,6 @@ LEAST_FRICTION_SD, _LEAST_LOAD_SD = 0.05, 0.02
 [assumed]"""
 _CHANGE_SD = 0.1
 """Spread of the friction of one servo within a day, as a share: grease that warms. [assumed]"""
-_UNPRESSED_SD = 0.12
-"""Least uncertainty of A for each N m when it follows from the back-EMF alone. [assumed]"""
-_LOSS_SD = 0.1
-"""Uncertainty of the losses of a gearing from the ratio of both slopes. Four identified gearings
-differ by 0.04 to 0.15 (arXiv 2410.08650). [vendor]"""
-_WEIGHED_SD = 0.05
-"""Uncertainty of a motor constant measured by weights on the pads: scale, friction that grows with
-the load. [assumed]"""
 VOLTAGE_SD_V, RESISTANCE_SD = 0.02, 0.15
 """Error of a voltage in V, and spread of the winding's resistance as a share: 50 K add 20 %.
 [assumed]"""
@@ -175,47 +167,6 @@ def fit_back_emf(points: Sequence[FreePoint], model: ServoModel) -> float | None
     return float(fitted[1]) if min(fitted) > 0.0 else None
 
 
-def anchored(
-    drive: DriveCharacteristic, model: ServoModel, back_emf_v_s: float
-) -> DriveCharacteristic:
-    """Return a characteristic whose motor constant follows the back-EMF and no pad.
-
-    A weaker magnet reduces torque and back-EMF by the same share. Higher gearing losses than in the
-    model's graph are visible: the load falls at far less current than it rises at, for any gain of
-    the pads. A better known motor constant from the config stays.
-    """
-    ratio, sd = drive.kt_per_back_emf, _WEIGHED_SD
-    if ratio is None:
-        ratio, sd = model.kt_nm_a / model.back_emf_v_s, model.back_emf_sd
-        # Ratio of a motor with equal torque and back-EMF constants.
-        torque_share = _torque_share(drive)
-        if torque_share < ratio:
-            ratio, sd = torque_share, hypot(sd, _LOSS_SD, 0.5 * drive.falling_sd)
-    values = replace(drive, back_emf_v_s=back_emf_v_s)
-    if drive.kt_sd >= min(sd, model.kt_sd):
-        values = replace(values, kt_nm_a=ratio * back_emf_v_s, kt_sd=sd)
-    kt_nm_a, load_sd = values.kt_nm_a, max(_UNPRESSED_SD, sd)
-    if drive.pressed or drive.load_sd < load_sd:
-        return values
-    # No pad has measured the load.
-    relief = drive.falling_a_nm / drive.rising_a_nm
-    return replace(
-        values, rising_a_nm=1.0 / kt_nm_a, falling_a_nm=relief / kt_nm_a, load_sd=load_sd
-    )
-
-
-def weighed(drive: DriveCharacteristic) -> DriveCharacteristic:
-    """Return a characteristic whose motor constant is that of its load, by pads under weights.
-
-    After this its back-EMF keeps that constant, and pads that change contradict it.
-    """
-    if drive.back_emf_v_s is None or drive.load_sd >= _UNPRESSED_SD:
-        return drive
-    kt_nm_a = 1.0 / drive.rising_a_nm
-    ratio = kt_nm_a / drive.back_emf_v_s
-    return replace(drive, kt_nm_a=kt_nm_a, kt_sd=_WEIGHED_SD, kt_per_back_emf=ratio)
-
-
 def change(point: FreePoint, drive: DriveCharacteristic) -> float:
     """Return the friction of a free motion over the expected one if implausible, else 1.
 
@@ -239,21 +190,6 @@ def grown(point: FreePoint, drive: DriveCharacteristic) -> float:
     ratio = max(0.0, sign * (point.current_a - drive.offset_a)) / expected_a
     share = _CHANGE_SD**2 / (_CHANGE_SD**2 + (point.sd_a / expected_a) ** 2)
     return 1.0 + share * (ratio - 1.0)
-
-
-def _torque_share(drive: DriveCharacteristic) -> float:
-    """Return the share of the motor's torque that a rising load gets, by both lines of the load.
-
-    Where losses grow with the load, L = (T - base) / (1 + l) rises and (T + base) / (1 - l) falls;
-    where they grow with the motor's torque, (1 - d) T - base and (1 + d) T + base.
-    """
-    falls = drive.falling_a_nm / drive.rising_a_nm
-    by_motor, by_load = 2.0 * falls / (1.0 + falls), 0.5 * (1.0 + falls)
-    if falls >= 1.0:
-        return 1.0
-    # The yielding share is ``falls`` where all losses are the motor's, and 1 where none are.
-    of_load = min(max((drive.yielding_share - falls) / (1.0 - falls), 0.0), 1.0)
-    return of_load * by_load + (1.0 - of_load) * by_motor
 
 
 class _Fit(NamedTuple):

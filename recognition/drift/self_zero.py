@@ -12,12 +12,12 @@ constant error, and the steps of the moving one measure the travel.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.special import logsumexp
+from scipy.special import expit, logsumexp
 
 from recognition.drift.drift import Drift
 from recognition.drift.grid import DriftPrior, moments
@@ -49,20 +49,18 @@ _ALIKE = 5.0
 """Number of successive frames with the same error of the opening."""
 _MODEL_SD_M = 5e-5
 """Error of the opening in m by non-linear foam, and by its edges; simulated pads."""
-_MODEL_RATIO_SD, _MODEL_SCALE_SD, _MODEL_STIFFNESS_SD = 0.02, 0.03, 0.05
+_MODEL_RATIO_SD, _MODEL_STIFFNESS_SD = 0.02, 0.05
 """The same of the logarithms, by misaligned pads and by the law of the pads."""
-_FOAM_SD, _OTHER_FOAM_SD = 0.1, 0.8
-"""The same of the stiffness of foam: of one foam between days and temperatures, assumed, and of two
-foams. The latter and `_OTHER_FOAM` are tuned on nine simulated cells whose foam has 1.2 to 2.4
-times the modulus: 0.5 to 0.8, and 0.5 to 0.95, name as many."""
-_OTHER_FOAM = 0.5
-"""Probability before the measurement that the foam differs from that of teaching."""
+_MOST_STIFFNESS_SD = 1.0
+"""Standard deviation beyond which a stiffness counts as unknown."""
+_OTHER_FOAM_SD = 0.8
+"""Standard deviation of the logarithm of the stiffness of two foams. Half of the hands are expected
+to have another foam than that of the teaching. Tuned on nine simulated cells whose foam has 1.2 to
+2.4 times the modulus: 0.5 to 0.8 name as many."""
 _FOAM_ODDS = 0.4
 """Factor on the odds of a new object on another foam. Tuned on sixteen further cells: 1 to 0.2 name
 95 to 97 % of the grasps and leave 100 % of new objects UNKNOWN, and 89 to 80 % of those that differ
 from a taught one by 1 or 2 mm."""
-_CLEAR_SIGMAS = 2.0
-"""Least change of the foam that is reported, in standard deviations."""
 _DRAWN_SD_M, _DRAWN_RATIO_SD = 5e-5, 0.05
 """Standard deviations in virtual grasps of a drawing: of the opening in m, and of the ratio of the
 pads' gains. Each virtual grasp has further errors of its own."""
@@ -91,7 +89,6 @@ class ZeroMeasurement:
 
 def measure_zero(
     grasp: Grasp,
-    pads_n: NDArray[np.float64],
     gripping: tuple[int, int],
     *,
     step_m: float,
@@ -99,14 +96,10 @@ def measure_zero(
 ) -> ZeroMeasurement:
     """Return the self-zero from a ramp of the empty fingers on each other.
 
-    Its scale is by the law of the pads; `anchored` corrects it.
-
     Parameters
     ----------
     grasp
         From the open fingers to the end of the ramp.
-    pads_n
-        (n_frames,) float64: force by the law of the pads in N at each frame.
     gripping
         Numbers of the two pads in the layout.
     step_m
@@ -135,7 +128,6 @@ def measure_zero(
         middle, grasp.aperture_m[pressing] * 1e3, step_m * 1e3, finger
     )
     both = np.stack([e.sum(axis=1) for e in evened]).mean(axis=0)
-    log_scale, log_scale_sd = _scale(both, pads_n[pressing])
     top = both >= _TOP_SHARE * both.max()
     planes = np.maximum(middle[top].mean() + xy_m @ gradient * 1e3, 0.0)
     spread = footprint[top].mean(axis=0)
@@ -155,8 +147,6 @@ def measure_zero(
             opening_sd_m=float(np.hypot(zero_sd_mm * 1e-3, _MODEL_SD_M)),
             log_gain_ratio=float(np.log(ratio)),
             log_gain_ratio_sd=float(np.hypot(ratio_sd, _MODEL_RATIO_SD)),
-            log_scale=log_scale,
-            log_scale_sd=float(np.hypot(log_scale_sd, _MODEL_SCALE_SD)),
             log_stiffness=log_counts_mm + float(np.log(footprint.shape[1])),
             log_stiffness_sd=float(np.hypot(log_counts_mm_sd, _MODEL_STIFFNESS_SD)),
         ),
@@ -166,37 +156,16 @@ def measure_zero(
     )
 
 
-def anchored(
-    measured: ZeroMeasurement, n_a: float, log_gain: float, log_gain_sd: float
-) -> ZeroMeasurement:
-    """Return a measurement whose scale does not depend on the law of the pads.
-
-    Parameters
-    ----------
-    n_a
-        Force of the fingers in N for each A, by the catalogue's motor constant.
-    log_gain, log_gain_sd
-        Logarithm of the force by the law over that by the motor constants, and its standard
-        deviation.
-    """
-    zero = measured.zero
-    log_scale = zero.log_scale + log_gain + float(np.log(n_a))
-    sd = min(float(np.hypot(zero.log_scale_sd, log_gain_sd)), _UNKNOWN_SD)
-    return replace(measured, zero=replace(zero, log_scale=log_scale, log_scale_sd=sd))
-
-
 def drawn_zero(opening_m: float = 0.0, opening_sd_m: float = _DRAWN_SD_M) -> SelfZero:
     """Return the self-zero for grasps of a drawing, from an opening and its deviation in m.
 
-    Both pads have the same gain. Counts for force and travel, and so the gain, are unknown.
+    Both pads have the same gain. Counts for travel, and so the gain, are unknown.
     """
     return SelfZero(
         opening_m=opening_m,
         opening_sd_m=opening_sd_m,
         log_gain_ratio=0.0,
         log_gain_ratio_sd=_DRAWN_RATIO_SD,
-        log_scale=0.0,
-        log_scale_sd=_UNKNOWN_SD,
         log_stiffness=0.0,
         log_stiffness_sd=_UNKNOWN_SD,
     )
@@ -243,7 +212,7 @@ def since(taught: SelfZero, today: SelfZero, gripping: tuple[int, ...], n_pads: 
     It has the zero of the opening, the difference between the gains of the gripping pads, and their
     likeliest common gain. `prior_since` is the remaining uncertainty.
     """
-    common, _, _ = _common(taught, today)
+    common, _ = _common(taught, today)
     apart = 0.5 * (today.log_gain_ratio - taught.log_gain_ratio)
     gains = np.full(n_pads, np.exp(common))
     if len(gripping) == 2:
@@ -284,57 +253,26 @@ def foam_odds(taught: SelfZero, today: SelfZero) -> float:
     """Return the factor on the odds of a new object: 1 on the foam of the teaching, else less.
 
     On another foam the counts grow differently with the load, so taught objects look a little new.
+    A change of the counts that is large beside the gain's from day to day shows another foam.
     """
-    return 1.0 - (1.0 - _FOAM_ODDS) * _common(taught, today)[2]
+    change, sd = _common(taught, today)
+    variance = DriftPrior().log_gain_sd ** 2 + sd**2 + np.array([0.0, _OTHER_FOAM_SD**2])
+    log_weight = -0.5 * (np.log(variance) + change**2 / variance)
+    other = float(expit(log_weight[1] - log_weight[0]))
+    return 1.0 - (1.0 - _FOAM_ODDS) * other
 
 
-def foam_change(taught: SelfZero, today: SelfZero) -> float | None:
-    """Return the stiffness of the foam over that of teaching; None without a clear change."""
-    by_force, force_var, by_way, way_var = _changes(taught, today)
-    log_ratio = by_way - by_force
-    clear = log_ratio**2 > _CLEAR_SIGMAS**2 * (force_var + way_var)
-    return float(np.exp(log_ratio)) if clear else None
-
-
-def _changes(taught: SelfZero, today: SelfZero) -> tuple[float, float, float, float]:
-    """Return the changes since teaching of counts for force and of counts for travel.
-
-    Each is a logarithm with its variance.
-    """
-    force_var = taught.log_scale_sd**2 + today.log_scale_sd**2
-    way_var = taught.log_stiffness_sd**2 + today.log_stiffness_sd**2
-    by_way = today.log_stiffness - taught.log_stiffness
-    return today.log_scale - taught.log_scale, force_var, by_way, way_var
-
-
-def _common(taught: SelfZero, today: SelfZero) -> tuple[float, float, float]:
-    """Return the correction of the grasps of today on both pads, and that the foam is another one.
-
-    The first two are mean and standard deviation of a logarithm: the counts for each mm over those
-    at teaching. These are the gain of the sensors times the stiffness of the foam. The last is a
-    probability.
+def _common(taught: SelfZero, today: SelfZero) -> tuple[float, float]:
+    """Return mean and standard deviation of the logarithm of the gain of both pads since teaching.
 
     On foam of s times the modulus, a part with s times the force makes the same footprint with s
-    times the counts. So counts are compared by travel, not by force. Counts for force give the
-    gain, except for the motor constants. Counts for travel give the product of gain and stiffness.
+    times the counts. So counts are compared by travel, not by force: the gain is that of the
+    sensors times the stiffness of the foam. It needs no motor constant.
     """
-    by_force, force_var, by_way, way_var = _changes(taught, today)
-    foam_var = np.array([_FOAM_SD, _OTHER_FOAM_SD]) ** 2
-    apart_var = way_var + force_var + foam_var
-    other = _OTHER_FOAM if way_var < 1.0 else 1e-9  # the foam is unknown without travel
-    log_weight = np.log([1.0 - other, other]) - 0.5 * (
-        np.log(apart_var) + (by_way - by_force) ** 2 / apart_var
-    )
-    weight = np.exp(log_weight - np.logaddexp(*log_weight))
-    precision = (
-        1.0 / (DriftPrior().log_gain_sd ** 2 + np.array([0.0, _OTHER_FOAM_SD**2]))
-        + 1.0 / (force_var + foam_var)
-        + 1.0 / way_var
-    )
-    means = (by_force / (force_var + foam_var) + by_way / way_var) / precision
-    mean = float(weight @ means)
-    variance = float(weight @ (1.0 / precision + (means - mean) ** 2))
-    return mean, variance**0.5, float(weight[1])
+    sd = float(np.hypot(taught.log_stiffness_sd, today.log_stiffness_sd))
+    if sd > _MOST_STIFFNESS_SD:
+        return 0.0, DriftPrior().log_gain_sd
+    return today.log_stiffness - taught.log_stiffness, sd
 
 
 def _risen(
@@ -432,14 +370,3 @@ def _ratio(load: NDArray[np.float64]) -> tuple[float, float]:
     ratio = float(np.linalg.norm(load[0]) / np.linalg.norm(load[1]))
     off = load[0] / ratio - load[1]
     return ratio, float(off.std() / np.sqrt(load.shape[1]) / load.mean())
-
-
-def _scale(load: NDArray[np.float64], pads_n: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the logarithm of counts for each N, and its deviation, by the slope of the ramp."""
-    off_load, off_n = load - load.mean(), pads_n - pads_n.mean()
-    n_count = float(off_load @ off_n / (off_load @ off_load))
-    if n_count <= 0.0:
-        return 0.0, _UNKNOWN_SD
-    left = off_n - n_count * off_load
-    sd = float(np.sqrt(left @ left / max(len(load) - 2, 1) / (off_load @ off_load)))
-    return -float(np.log(n_count)), sd / n_count

@@ -142,7 +142,7 @@ class Bench(VirtualCell):
 @pytest.fixture
 def made_up_zero(monkeypatch: pytest.MonkeyPatch) -> SelfZero:
     """A self-zero that closes no fingers, for tests of what becomes of one; return its value."""
-    zero = SelfZero.from_values([1e-4, 1e-4, 0.1, 0.02, 8.0, 0.05, 8.0, 0.2])
+    zero = SelfZero.from_values([1e-4, 1e-4, 0.1, 0.02, 8.0, 0.2])
 
     def measure(zeroing: Zeroing, *, asked: bool) -> ZeroMeasurement:
         measured = ZeroMeasurement(zero=replace(zero), tilt_rad=(0.0, 0.0), fit=1.0, dead=())

@@ -3,18 +3,17 @@
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import exp, hypot, sqrt
+from math import hypot, sqrt
 from statistics import fmean, pstdev
 from typing import NamedTuple
 
 import numpy as np
 
-from gripper.dynamixel.drive import INERTIA_SD, SIGMAS, DriveCharacteristic, disagreement
+from gripper.dynamixel.drive import INERTIA_SD, SIGMAS, DriveCharacteristic
 from gripper.errors import ServoFault
 from gripper.force.loop import Action, LoopRunner, Moment
 from gripper.mechanics.identification import (
     FreePoint,
-    anchored,
     change,
     fit_back_emf,
     fit_friction,
@@ -123,14 +122,12 @@ class FreeMotion:
 
     def compare(self) -> None:
         """Note contradictions of pads and motor constant: neither follows the other."""
-        drives = [self._drive(servo) for servo in self._settings.servos]
-        together = disagreement(drives)
-        for servo, drive in zip(self._settings.servos, drives, strict=True):
-            apart = disagreement([drive]) or together
+        for servo in self._settings.servos:
+            times = self._drive(servo).disagreement(servo.servo_model)
             begin = f"servo {servo.servo_id}: by the pads"
-            if apart and not any(note.startswith(begin) for note in self.notes):
+            if times != 1.0 and not any(note.startswith(begin) for note in self.notes):
                 self.notes.append(
-                    f"{begin} 1 A makes {exp(apart):.2f} times the torque of its motor constant: "
+                    f"{begin} 1 A makes {times:.2f} times the torque of its motor constant: "
                     f"the law of the pads, or the current scale, is off. Press a known weight on "
                     f"the pads: `tactile-cell commission --redo pads_law`"
                 )
@@ -169,7 +166,7 @@ class FreeMotion:
             temperature_c=servo.temperature_c,
         )
         if (back_emf_v_s := fit_back_emf(points, model)) is not None:
-            fitted = anchored(fitted, model, back_emf_v_s)
+            fitted = replace(fitted, back_emf_v_s=back_emf_v_s)
         self._settings.drives.put(servo_id, fitted)
         usual_a = DriveCharacteristic.catalogue(model).breakaway_a
         if fitted.breakaway_a > _WORN * usual_a:

@@ -212,7 +212,7 @@ def test_the_config_takes_the_result_of_the_same_model_alone(tmp_path: Path) -> 
     _, result = run_bench(bench.rig, person(bench, "scale"), tmp_path)
     drive = measured_drive(result, XM430_W350)
     catalogue = DriveCharacteristic.catalogue(XM430_W350)
-    assert drive.kt_sd < catalogue.kt_sd
+    assert drive.load_sd < catalogue.load_sd
     assert drive.coulomb_a == catalogue.coulomb_a, "that step was left out"
     with pytest.raises(ConfigError, match="is of a XM430-W350, this servo is a XL330-M288"):
         measured_drive(result, XL330_M288)

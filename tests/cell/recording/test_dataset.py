@@ -32,7 +32,7 @@ from tests.cell.recording.test_recording import GOOD, foreign
 from tests.values import make_pads, raising
 
 PADS = make_pads(((3, 2), (2, 2)), pitch_m=6.5e-3, adc_max=255)
-ZERO = SelfZero.from_values([1e-3, 1e-4, 0.1, 0.02, 8.0, 0.05, 8.0, 0.2])
+ZERO = SelfZero.from_values([1e-3, 1e-4, 0.1, 0.02, 8.0, 0.2])
 
 
 def make_grasp(seed: int = 0, n_frames: int = 4, pads: PadArray = PADS, **changes: Any) -> Grasp:

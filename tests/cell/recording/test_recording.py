@@ -73,7 +73,7 @@ def make_frame(t_s: float, rng: np.random.Generator, n_taxels: int = 24) -> Tact
 
 KNOWN: dict[str, Any] = {
     "command": GraspCommand(x_m=1e-3, y_m=0.0, rotation_rad=0.3, roll_rad=0.0, force_n=8.0),
-    "zero": SelfZero.from_values([1e-3, 1e-4, 0.1, 0.02, 8.0, 0.05, 8.0, 0.2]),
+    "zero": SelfZero.from_values([1e-3, 1e-4, 0.1, 0.02, 8.0, 0.2]),
 }
 
 
