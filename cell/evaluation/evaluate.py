@@ -65,7 +65,6 @@ def evaluate_recognizers(
     train: Sequence[Grasp] | None = None,
     names: Sequence[str],
     fuse: Sequence[int] = (1,),
-    seed: int = 0,
     mapper: Mapper = one_by_one,
     progress: Progress,
 ) -> EvaluationResult:
@@ -92,7 +91,7 @@ def evaluate_recognizers(
     if train is not None:
         split = "separate files"
     parts = _parts(grasps, split, train)
-    measure = partial(evaluate, parts, fuse=fuse, seed=seed, mapper=mapper)
+    measure = partial(evaluate, parts, fuse=fuse, mapper=mapper)
     if len(parts) > 1:
         # A part tests a single object: the others would have to be left out again for each.
         measure = partial(measure, unknown_groups=0)

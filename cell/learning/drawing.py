@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 from scipy.signal import lfilter
 
 from cell.config.gripper import ParallelLinkageConfig
@@ -58,15 +59,6 @@ class PressedPad:
     """(k,) float64: force on the pad in N."""
     taxels_n: NDArray[np.float64]
     """(k, n_taxels) float64: force on each taxel in N."""
-
-    def taxel_force_n(self, depth_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return forces (n, n_taxels) in N at depths (n,) in m."""
-        place = np.clip(depth_m / self.depth_m[1], 0.0, len(self.depth_m) - 1.0)
-        below = np.minimum(place.astype(np.int64), len(self.depth_m) - 2)
-        share = (place - below)[:, None]
-        low_n, high_n = self.taxels_n[below], self.taxels_n[below + 1]
-        force_n: NDArray[np.float64] = low_n + share * (high_n - low_n)
-        return force_n
 
 
 def reaches_m(
@@ -316,7 +308,7 @@ class VirtualPads:
             gains = rng.lognormal(0.0, course.pad_gain_sd) * np.exp(
                 rng.normal(0.0, course.taxel_gain_sd, len(bed.taxels))
             )
-            taxels_n = pressed.taxel_force_n(depth_m)
+            taxels_n = make_interp_spline(pressed.depth_m, pressed.taxels_n, k=1)(depth_m)
             slowly_n = lfilter([creep], [1.0, creep - 1.0], taxels_n, axis=0)
             taxels_n += lag * (slowly_n - taxels_n)
             counts[:, bed.taxels] += self.pads.adc_max * foam.response(taxels_n * gains) ** bend

@@ -69,7 +69,12 @@ def dataset_to_extend(path: Path, pads: PadArray) -> tuple[Grasp, ...]:
     if not path.parent.is_dir():
         raise CellError(f"{path}: the folder {path.parent} does not exist; make it first")
     before = read_dataset(path) if path.exists() else ()
-    _check_pads(path, before, pads)
+    if before and not (there := before[0].pads).same_as(pads):
+        raise CellError(
+            f"{path} holds grasps on other pads: {there.n_taxels} taxels in {there.n_pads} pads, "
+            f"these have {pads.n_taxels} in {pads.n_pads}{what_differs(there, pads)}; choose "
+            "another file"
+        )
     return before
 
 
@@ -78,17 +83,6 @@ def append_to_dataset(
 ) -> None:
     """Rewrite a data set with further grasps of one series at its end.
 
-    Raises CellError if the new grasps were taken on other pads; the file does not change.
+    Raises DatasetError as `write_dataset`; the file does not change.
     """
-    _check_pads(path, before, new[0].pads)
     write_dataset(path, [*before, *(replace(grasp, series=series) for grasp in new)])
-
-
-def _check_pads(path: Path, before: Sequence[Grasp], here: PadArray) -> None:
-    if before and not before[0].pads.same_as(here):
-        there = before[0].pads
-        raise CellError(
-            f"{path} holds grasps on other pads: {there.n_taxels} taxels in {there.n_pads} pads, "
-            f"these have {here.n_taxels} in {here.n_pads}{what_differs(there, here)}; choose "
-            "another file"
-        )

@@ -22,12 +22,9 @@ _END_SHARE = 32
 """Bytes of a recording for each byte of its end, an index: twice the need."""
 
 
-def free_bytes(folder: Path) -> int:
-    """Return the free bytes of the disk of a folder. Raises OSError if it is gone."""
-    return _free(os.statvfs(folder))
-
-
-def _free(disk: os.statvfs_result) -> int:
+def free_bytes(place: Path | int) -> int:
+    """Return the free bytes of the disk of a folder or an open file; OSError if it is gone."""
+    disk = os.statvfs(place)
     return disk.f_bavail * disk.f_frsize
 
 
@@ -136,7 +133,7 @@ class RecordingSink:
         try:
             while rest:
                 rest = rest[os.write(self._handle, rest) :]
-            free = _free(os.fstatvfs(self._handle))
+            free = free_bytes(self._handle)
         except OSError:
             os.ftruncate(self._handle, self._length)
             raise

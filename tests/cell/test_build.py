@@ -341,50 +341,53 @@ OPERATED = {"gripper.port": "/dev/ttyUSB0", "positioner": {"kind": "operator"}}
 
 TABLE = {"kind": "table", "force_n": [1.0, 2.0]}
 REPEATED = [{"start": start, "taxels": [*range(start, start + 16)]} for start in (0x201, 0x210)]
+DRIVES = {"kind": "axes", "can": {"interface": "socketcan", "channel": "can0"}, "axes": [X_AXIS]}
+REAL_CAN = {
+    "gripper.port": "/dev/ttyUSB0",
+    "tactile.interface": "socketcan",
+    "tactile.channel": "can0",
+    "positioner": DRIVES,
+    **{f"sequence.{key}": [0.0, 0.0] for key in ("y_mm", "rotation_deg", "roll_deg")},
+}
+
+
+def on_ports(*ports: str) -> dict[str, Any]:
+    return {"tactile.sensor.ports": [*ports]}
 
 
 @pytest.mark.parametrize(
-    ("changes", "named"),
+    ("boards", "changes", "named"),
     [
-        ({"tactile.layout": "paper"}, "layout paper does not fit two boards of 12 x 32"),
-        ({"tactile.sensor.profile": "16x32"}, "two inner pads of 32 rows along the finger and 16"),
-        ({"tactile.sensor.rows_along": True}, "two inner pads of 12 rows along the finger and 32"),
+        (FLEXITAC, {"tactile.layout": "paper"}, "layout paper does not fit two boards of 12 x 32"),
+        (FLEXITAC, {"tactile.sensor.profile": "16x32"}, "pads of 32 rows along the finger and 16"),
+        (FLEXITAC, {"tactile.sensor.rows_along": True}, "pads of 12 rows along the finger and 32"),
         (
-            {"tactile.sensor.ports": ["/dev/a"] * 2} | OPERATED,
+            *(FLEXITAC, on_ports("/dev/a", "/dev/a") | OPERATED),
             r"ports\[0\] and tactile.sensor.ports\[1\] are /dev/a",
         ),
-        ({"tactile.sensor.ports": ["/dev/a", "simulated"]}, "for each or for none"),
-        ({"tactile.sensor.ports": ["/dev/a", "/dev/b"]}, "must all be `simulated` or all"),
+        (FLEXITAC, on_ports("/dev/a", "simulated"), "for each or for none"),
+        (FLEXITAC, on_ports("/dev/a", "/dev/b"), "must all be `simulated` or all"),
         (
-            OPERATED | {"tactile.sensor.ports": ["/dev/a", "/dev/ttyUSB0"]},
+            *(FLEXITAC, OPERATED | on_ports("/dev/a", "/dev/ttyUSB0")),
             r"tactile.sensor.ports\[1\] are /dev/ttyUSB0",
         ),
-        ({"gripper.force_stale_ms": 20.0}, "the least is 25, 2.5 periods of the frames"),
-        ({"tactile.calibration": TABLE | {"counts": [9.0, 5.0]}}, "rise from above 0, together"),
-        ({"tactile.calibration": TABLE | {"counts": [9.0]}}, "1 counts and 2 values"),
+        (FLEXITAC, {"gripper.force_stale_ms": 20.0}, "the least is 25, 2.5 periods of the frames"),
+        (FLEXITAC, {"tactile.calibration": TABLE | {"counts": [9.0, 5.0]}}, "above 0, together"),
+        (FLEXITAC, {"tactile.calibration": TABLE | {"counts": [9.0]}}, "1 counts and 2 values"),
+        (USKIN, {"tactile.layout": "flexitac_16x16"}, r"has pads of \[256, 256\] taxels"),
+        (USKIN, {"tactile.sensor.boards": REPEATED}, "repeat"),
+        (USKIN, REAL_CAN, r"identifiers of CANopen .* bus without CANopen nodes"),
     ],
 )
-def test_a_config_that_flexitac_boards_cannot_have_is_refused(changes, named) -> None:
+def test_a_config_that_boards_cannot_have_is_refused(boards, changes, named) -> None:
     with pytest.raises(ConfigError, match=named):
-        changed_config(FLEXITAC, changes)
+        changed_config(boards, changes)
 
 
-@pytest.mark.parametrize(
-    ("changes", "named"),
-    [
-        ({"tactile.layout": "flexitac_16x16"}, r"has pads of \[256, 256\] taxels"),
-        ({"tactile.sensor.boards": REPEATED}, "repeat"),
-    ],
-)
-def test_a_config_that_uskin_boards_cannot_have_is_refused(changes, named) -> None:
-    with pytest.raises(ConfigError, match=named):
-        changed_config(USKIN, changes)
-
-
-def test_a_real_cell_on_boards_needs_no_can_channel() -> None:
-    config: CellConfig = changed_config(
-        FLEXITAC, OPERATED | {"tactile.sensor.ports": ["/dev/a", "/dev/b"]}
-    )
+def test_boards_on_ports_and_on_a_bus_of_their_own_are_real_cells() -> None:
+    apart = DRIVES | {"can": {"interface": "socketcan", "channel": "can1"}}
+    assert not changed_config(USKIN, REAL_CAN | {"positioner": apart}).simulated
+    config = changed_config(FLEXITAC, OPERATED | on_ports("/dev/a", "/dev/b"))
     assert not config.simulated
     assert config.tactile.place == "/dev/a, /dev/b"
     assert simulated_config(config).tactile.serial_ports == ("simulated", "simulated")
@@ -410,23 +413,6 @@ def test_each_approach_has_a_zero_of_its_own_while_z_drifts(make_bench) -> None:
     zero = bench.controller.zeroing.taxels
     assert (zero.offset_counts - first.offset_counts).min() > 3500
     assert zero.n_frames == 20
-
-
-DRIVES = {"kind": "axes", "can": {"interface": "socketcan", "channel": "can0"}, "axes": [X_AXIS]}
-REAL_CAN = {
-    "gripper.port": "/dev/ttyUSB0",
-    "tactile.interface": "socketcan",
-    "tactile.channel": "can0",
-    "positioner": DRIVES,
-    **{f"sequence.{key}": [0.0, 0.0] for key in ("y_mm", "rotation_deg", "roll_deg")},
-}
-
-
-def test_a_bus_that_is_shared_with_canopen_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"identifiers of CANopen .* bus without CANopen nodes"):
-        changed_config(USKIN, REAL_CAN)
-    apart = DRIVES | {"can": {"interface": "socketcan", "channel": "can1"}}
-    assert not changed_config(USKIN, REAL_CAN | {"positioner": apart}).simulated
 
 
 def test_friction_that_holds_a_force_is_no_frozen_sensor() -> None:

@@ -272,7 +272,6 @@ def fill_disk_after(
 
     monkeypatch.setattr(recorder_sink.os, "write", limited)
     monkeypatch.setattr(recorder_sink.os, "statvfs", free)
-    monkeypatch.setattr(recorder_sink.os, "fstatvfs", free)
     return room
 
 
