@@ -7,38 +7,32 @@
 import importlib
 import sys
 
-BENCHMARKS = {
+_CHAPTERS = {
     "performance": ("archive", "force_cap", "force_ramps", "identify", "servo_logs", "soak"),
     "recognition": ("comparators", "other_cell", "sensors"),
     "paper": ("method", "reproduction"),
 }
-"""Chapter -> the benchmarks in it: modules whose ``main(effort=1.0)`` prints their figures."""
+MODULES = {
+    name: f"benchmarks.{chapter}.{name}" for chapter, names in _CHAPTERS.items() for name in names
+}
+"""Modules whose ``main(effort=1.0)`` prints figures, by the name of the benchmark."""
 WITH_DATA = {"comparators": "file", "servo_logs": "folder"}
 """Benchmarks that need data, and what of it: the argument after the name."""
 ALONE = ("soak",)
 """Benchmarks that take hours: they run when they are named."""
 
 
-def modules() -> dict[str, str]:
-    """Return the module of each benchmark by its name."""
-    return {
-        name: f"benchmarks.{chapter}.{name}"
-        for chapter, names in BENCHMARKS.items()
-        for name in names
-    }
-
-
 def main() -> None:
-    known, arguments = modules(), sys.argv[1:]
+    arguments = sys.argv[1:]
     if arguments and arguments[0] in WITH_DATA:
         given = {WITH_DATA[arguments[0]]: next(iter(arguments[1:]), None)}
-        importlib.import_module(known[arguments[0]]).main(**given)
+        importlib.import_module(MODULES[arguments[0]]).main(**given)
         return
-    for name in arguments or [one for one in known if one not in ALONE]:
-        if name not in known:
-            sys.exit(f"no benchmark is named {name!r}; there are {', '.join(known)}")
+    for name in arguments or [one for one in MODULES if one not in ALONE]:
+        if name not in MODULES:
+            sys.exit(f"no benchmark is named {name!r}; there are {', '.join(MODULES)}")
         print(f"== {name}", flush=True)
-        importlib.import_module(known[name]).main()
+        importlib.import_module(MODULES[name]).main()
         print(flush=True)
 
 

@@ -1,34 +1,17 @@
-"""Shared helpers: times, shares with intervals, quantiles, effort, lines of figures."""
+"""Shared helpers: work in a process of its own, shares with intervals, effort, lines of figures."""
 
 import multiprocessing
 import resource
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from typing import TypeVar
 
-import numpy as np
 from joblib.externals.loky import get_reusable_executor
 
 from recognition.evaluation.metrics import wilson_interval
 
 _Result = TypeVar("_Result")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Timed:
-    """Time that a piece of work took, on the wall and of this process's CPU, in s."""
-
-    wall_s: float
-    cpu_s: float
-
-
-def timed(work: Callable[[], _Result]) -> tuple[_Result, Timed]:
-    """Do the work once; return its result and what it took."""
-    cpu_s, wall_s = time.process_time(), time.perf_counter()
-    result = work()
-    return result, Timed(wall_s=time.perf_counter() - wall_s, cpu_s=time.process_time() - cpu_s)
 
 
 def in_own_process(work: Callable[[], _Result]) -> tuple[_Result, float, list[float]]:
@@ -42,10 +25,12 @@ def in_own_process(work: Callable[[], _Result]) -> tuple[_Result, float, list[fl
 
 
 def _watched(work: Callable[[], _Result]) -> tuple[_Result, float, list[float]]:
-    result, took = timed(work)
+    began_s = time.perf_counter()
+    result = work()
+    took_s = time.perf_counter() - began_s
     get_reusable_executor().shutdown(wait=True)
     who = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
-    return result, took.wall_s, [resource.getrusage(one).ru_maxrss * 1024e-9 for one in who]
+    return result, took_s, [resource.getrusage(one).ru_maxrss * 1024e-9 for one in who]
 
 
 def share(n_hits: int, n: int, *, times: int = 1) -> str:
@@ -55,11 +40,6 @@ def share(n_hits: int, n: int, *, times: int = 1) -> str:
     """
     low, high = wilson_interval(n_hits // times, n // times)
     return f"{100 * n_hits / max(1, n):.1f} % ({100 * low:.1f} to {100 * high:.1f})"
-
-
-def quantile(values: Sequence[float], share: float) -> float:
-    """Return the value that a share of all values do not exceed."""
-    return float(np.quantile(values, share))
 
 
 def repeats(full: int, effort: float, *, least: int = 1) -> int:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 
 from recognition.grasp import Grasp, PadArray
 from simulator.world.foam import Foam
@@ -120,13 +121,10 @@ def record(
 
     The noise is the paper's, with ``noise_share`` of full scale as its largest value.
     """
-    full_n, last = float(touch.force_n[-1]), len(touch.force_n) - 1
+    full_n = float(touch.force_n[-1])
     ramp_n = np.arange(_STEP_N, full_n, _STEP_N)
     force_n = np.concatenate([np.zeros(REST_FRAMES), ramp_n, np.full(_HOLD_FRAMES, full_n)])
-    place = np.minimum(force_n / full_n * last, last - 1e-9)
-    before = place.astype(np.int64)
-    part = (place - before)[:, None]
-    taxel_n = (1.0 - part) * touch.taxel_n[before] + part * touch.taxel_n[before + 1]
+    taxel_n = make_interp_spline(touch.force_n, touch.taxel_n, k=1)(force_n)
     counts = ideal_counts(taxel_n, _PADS.adc_max)
     model = NoiseModel(kind="clipped_normal", level=noise_share / PAPER_NOISE)
     counts += model.sample(rng, counts.size, _PADS.adc_max).reshape(counts.shape)

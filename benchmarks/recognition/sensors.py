@@ -15,7 +15,9 @@ from contextlib import closing
 from pathlib import Path
 from statistics import mean
 
-from benchmarks._measure import line, quantile, repeats
+import numpy as np
+
+from benchmarks._measure import line, repeats
 from cell.build import build_cell
 from cell.config.file import load_config
 from cell.config.model import CellConfig
@@ -77,11 +79,12 @@ def row(case: str, effort: float) -> str:
             names[{label: "right", UNKNOWN: UNKNOWN}.get(answer.label, "wrong")] += 1
         frames = controller.hand.statistics.source.frames
     return (
-        f"{names['right']} | {names['wrong']} | {names[UNKNOWN]} | "
-        f"{quantile(errors_n, 0.5):.2f}, {quantile(errors_n, 0.95):.2f} N | "
-        f"{quantile(touches_n, 0.5):.2f}, {max(touches_n):.2f} N | "
-        f"{quantile(took_s, 0.5):.1f}, {quantile(took_s, 0.95):.1f} s | "
-        f"{frames.lost + frames.torn + frames.corrupt} of {frames.complete}"
+        f"{names['right']} | {names['wrong']} | {names[UNKNOWN]} | {{:.2f}}, {{:.2f}} N | ".format(
+            *np.quantile(errors_n, (0.5, 0.95))
+        )
+        + "{:.2f}, {:.2f} N | ".format(*np.quantile(touches_n, (0.5, 1.0)))
+        + "{:.1f}, {:.1f} s | ".format(*np.quantile(took_s, (0.5, 0.95)))
+        + f"{frames.lost + frames.torn + frames.corrupt} of {frames.complete}"
     )
 
 

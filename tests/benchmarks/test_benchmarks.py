@@ -11,18 +11,18 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from sklearn.base import clone
 
 from benchmarks import __main__ as command
+from benchmarks.__main__ import MODULES
 from benchmarks._measure import same, share
 from benchmarks.paper.grasps import press, record
 from benchmarks.paper.reproduction import classify, levels_of, name_by_threshold, one_frame
 from benchmarks.performance import servo_logs, soak
 from benchmarks.performance.servo_logs import Bench, Log, main, read_logs
-from benchmarks.recognition import comparators
 from cell.recording.dataset import write_dataset
 from gripper.dynamixel.models import XL330_M288, XM430_W350
 from recognition.features import PadGrid
@@ -35,7 +35,6 @@ from tests.values import make_pads
 pytestmark = pytest.mark.no_cover  # to count lines takes as long again as to run them
 
 EFFORT = 0.01
-MODULES = command.modules()
 OTHERWISE = {*command.WITH_DATA, "soak"}
 """Some need data, and the soak is run for a moment."""
 
@@ -197,6 +196,18 @@ def test_outcomes_count_names_and_missing_surfaces():
 # -- Comparators: features of patches and curves of known form, and the command on a data set ------
 
 
+METHODS = (
+    *("discriminant", "extra_trees", "raw_neighbours", "contact_invariants", "radius_vector"),
+    "contour_network",
+)
+
+
+@pytest.fixture
+def comparators() -> Any:
+    """The module, imported only where it is used: scikit-learn takes seconds."""
+    return importlib.import_module(MODULES["comparators"])
+
+
 def grid(rows=41, columns=31, pitch=0.5):
     x, y = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
     xy = np.column_stack([x.ravel() - (rows - 1) / 2, y.ravel() - (columns - 1) / 2]) * pitch
@@ -213,15 +224,15 @@ def ellipse(a, b, angle=0.0, centre=(0.0, 0.0)):
 @pytest.mark.parametrize(
     ("features", "told"),
     [
-        (comparators.radius_vector, slice(None)),
-        (comparators.contour, slice(0, 8)),
+        ("radius_vector", slice(None)),
+        ("contour", slice(0, 8)),
         # A straight section has neither a slope of its curvature nor a cubic term.
-        (comparators.sections, [0, 1, 7, 8, 9]),
+        ("sections", [0, 1, 7, 8, 9]),
     ],
 )
-def test_a_moved_and_turned_patch_has_nearly_the_same_features(features, told):
+def test_a_moved_and_turned_patch_has_nearly_the_same_features(comparators, features, told):
     first, moved, other = (
-        features(patch, grid(), 0.3)[told]
+        getattr(comparators, features)(patch, grid(), 0.3)[told]
         for patch in (
             ellipse(6.0, 4.0),
             ellipse(6.0, 4.0, 0.8, (1.0, -1.0)),
@@ -231,15 +242,16 @@ def test_a_moved_and_turned_patch_has_nearly_the_same_features(features, told):
     assert np.linalg.norm(moved - first) < 0.35 * np.linalg.norm(other - first)
 
 
-@pytest.mark.parametrize(
-    "features", [one.of_patch for one in comparators.METHODS.values() if one.of_patch]
-)
-def test_an_empty_patch_has_finite_features(features):
-    assert np.all(np.isfinite(features(np.zeros(20), grid(5, 4, 3.0), 0.3)))
+def test_an_empty_patch_has_finite_features(comparators):
+    assert tuple(comparators.METHODS) == METHODS
+    features = [one.of_patch for one in comparators.METHODS.values() if one.of_patch]
+    assert len(features) == 4
+    for of_patch in features:
+        assert np.all(np.isfinite(of_patch(np.zeros(20), grid(5, 4, 3.0), 0.3))), of_patch
 
 
 @pytest.mark.parametrize("shift", [0.0, 1.0, -2.5])
-def test_a_parabola_has_one_invariant_at_all_its_points(shift):
+def test_a_parabola_has_one_invariant_at_all_its_points(comparators, shift):
     # y = (x + shift)^2 / 4 has p = 2: the invariant is p^(-2/3).
     x = np.array([-1.0, 0.0, 2.0]) + shift
     stretch = 1.0 + (x / 2) ** 2
@@ -249,7 +261,7 @@ def test_a_parabola_has_one_invariant_at_all_its_points(shift):
 
 
 @pytest.mark.parametrize("t", [(0.2, 0.7), (0.3, 1.0, 1.4)])
-def test_an_ellipse_has_its_two_invariants_from_any_points(t):
+def test_an_ellipse_has_its_two_invariants_from_any_points(comparators, t):
     a, b = 5.0, 3.0
     rho = np.hypot(a * np.sin(t), b * np.cos(t))
     slope = (a**2 - b**2) * np.sin(t) * np.cos(t) / rho
@@ -259,9 +271,9 @@ def test_an_ellipse_has_its_two_invariants_from_any_points(t):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", comparators.METHODS)
-def test_a_comparator_is_an_estimator_that_names_grasps(name):
-    method = clone(comparators.METHODS[name])
+@pytest.mark.parametrize("name", METHODS)
+def test_a_comparator_is_an_estimator_that_names_grasps(comparators, name):
+    method = comparators.clone(comparators.METHODS[name])
     method.set_params(grid={key: values[:1] for key, values in method.grid.items()})
     method.set_params(outlines=method.outlines[:1])
     if "n_estimators" in method.classifier.get_params():
@@ -276,7 +288,7 @@ def test_a_comparator_is_an_estimator_that_names_grasps(name):
 
 
 @pytest.mark.long
-def test_the_command_compares_all_methods_on_a_file(tmp_path, capsys):
+def test_the_command_compares_all_methods_on_a_file(comparators, tmp_path, capsys):
     write_dataset(tmp_path / "x.npz", make_grasps(5, seed=1, pads=make_pads()))
     comparators.main(0.01, str(tmp_path / "x.npz"))
     first, *rows = capsys.readouterr().out.splitlines()

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks.__main__ import modules
+from benchmarks.__main__ import MODULES
 from cell import installation
 from cell.config.file import changed_config, config_text, load_config, parse_config
 from cell.interfaces.cli.app import app
@@ -212,7 +212,7 @@ def test_benchmarks_that_the_docs_name_exist() -> None:
         for name in names.split()
     ]
     assert len(named) > 8
-    assert not [match for match in named if match[1] not in modules()]
+    assert not [match for match in named if match[1] not in MODULES]
 
 
 # -- What belongs together is found together: packages of one installation, extras, examples -------
