@@ -201,7 +201,7 @@ class ServoAxis(Axis):
 
     def _check(self) -> None:
         torque = self._read(ct.TORQUE_ENABLE)
-        if self._bus.alert(self._id) and (error := self._read(ct.HARDWARE_ERROR_STATUS)):
+        if self._id in self._bus.alerts and (error := self._read(ct.HARDWARE_ERROR_STATUS)):
             raise self._fault(error)
         if not torque:
             raise errors.AxisRestarted(

@@ -16,7 +16,7 @@ from cell.errors import CellError
 from cell.files import free_name
 from cell.formats import SERVO_BACKUP, read_json, write_json
 from cell.plugins import SERVO_MODELS
-from gripper.dynamixel.bus import ANSWERS_ALL, ServoBus, ServoIdentity
+from gripper.dynamixel.bus import ANSWERS_ALL, HIGHEST_ID, ServoBus, ServoIdentity, protocol_1_text
 from gripper.dynamixel.control_table import (
     BAUD_CODES,
     BAUD_RATE,
@@ -28,7 +28,6 @@ from gripper.dynamixel.control_table import (
 )
 from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.models import MODELS, ServoModel, model_name
-from gripper.dynamixel.transactions import HIGHEST_ID, protocol_1_text
 from gripper.errors import ServoRejected
 from gripper.servos.verification import Requirement, requirements
 from gripper.values.servo_checks import hardware_error_names, overload_text

@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from gripper.dynamixel.bus import BusStatistics
 from gripper.dynamixel.drive import DriveCharacteristic, DriveReport
-from gripper.dynamixel.transactions import BusStatistics
 from gripper.force.ramp import ForceRamp
 from gripper.force.timing import LoopStatistics
 from gripper.values.force_sensor import ForceSample

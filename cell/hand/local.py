@@ -191,8 +191,8 @@ class LocalHand:
 
     def clear_fault(self, *, reboot: bool) -> None:
         """Acknowledge a fault of the servos; reopen a lost port first."""
-        if self._lines.servos_are_missing or self.bus.lost:
-            self.bus.use(self._lines.reopen_servos())
+        if self._lines.servos_are_missing or self.bus.port.lost:
+            self.bus.port.use(self._lines.reopen_servos())
         self.gripper.clear_fault(reboot=reboot)
 
     def shutdown(self) -> str:

@@ -2,5 +2,5 @@
 
 For the servo group: `bus.ServoBus` (read and write registers of several servos), `control_table`
 and `models` (registers and data of each servo model). Inside: `serial_port`, `protocol2`,
-`transactions` (requests, precautions, errors), `latency` (check of the round trips).
+`latency` (check of the round trips).
 """

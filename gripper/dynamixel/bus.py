@@ -12,8 +12,9 @@ import struct
 import threading
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from dynamixel_sdk import COMM_SUCCESS, Protocol1PacketHandler
 
@@ -34,20 +35,6 @@ from gripper.dynamixel.protocol2 import (
     StatusPacket,
 )
 from gripper.dynamixel.serial_port import ByteStream, SdkPort
-from gripper.dynamixel.transactions import (
-    BROADCAST_ID,
-    HIGHEST_ID,
-    PING_SIZE,
-    BusStatistics,
-    Heard,
-    NoAnswerError,
-    Request,
-    accepted,
-    check_id,
-    checked,
-    given_up,
-    ping_request,
-)
 from gripper.errors import (
     AnswersOff,
     BusBusy,
@@ -55,7 +42,15 @@ from gripper.errors import (
     BusTimeout,
     LimitExceeded,
     PortLost,
+    ServoRejected,
 )
+
+BROADCAST_ID = 0xFE
+"""ID that all servos listen to (e-Manual, Protocol 2.0, "Packet ID")."""
+HIGHEST_ID = 252
+"""Highest ID of a servo (e-Manual, Protocol 2.0, "Packet ID")."""
+PING_SIZE = 3
+"""Bytes of data in the answer to a ping: Model Number (2) and Firmware Version (1)."""
 
 _COLLISION_READS = 3
 """Readings of a servo's state that show whether a second servo answers to the same ID."""
@@ -73,6 +68,14 @@ _LONGEST_QUIET_WAIT = 10.0
 take, so that only a line that never becomes quiet reaches it."""
 _SLOT_S = 0.003
 """Time in s that a servo may take for its answer to a broadcast ping, for each ID."""
+_LOCK_TIMEOUT_S = 1.0
+"""Longest wait in s for another thread's transaction."""
+_CRC_REFUSED = 3
+"""Error number of a servo that received a damaged request (e-Manual, "Error": CRC)."""
+_HEARD_BYTES = 16
+"""Received bytes that an error shows: a header and what follows it."""
+_PRINTABLE = frozenset(range(0x20, 0x7F)) | {0x0A, 0x0D}
+"""Bytes of a text line: a device that sends text, as a GPS receiver, is known by its words."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,6 +85,81 @@ class ServoIdentity:
     servo_id: int
     model_number: int
     firmware: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusStatistics:
+    """Counts since the bus was opened."""
+
+    transactions: int = 0
+    """Transactions asked for."""
+    retries: int = 0
+    """Requests sent a second time."""
+    timeouts: int = 0
+    """Answers that did not come in time."""
+    corrupt: int = 0
+    """Answers that came damaged, or behind bytes that are none."""
+    late: int = 0
+    """Answers to an earlier request, or of another servo; dropped."""
+
+
+class _Request(NamedTuple):
+    """A request to one servo."""
+
+    servo_id: int
+    instruction: Instruction
+    """Who is asked, and for what."""
+    size: int
+    """Bytes of data in the right answer."""
+    action: str
+    """Name of the request in error messages."""
+    params: bytes = b""
+    """Parameters of the instruction packet, unstuffed."""
+
+
+class _Heard:
+    """Invalid data since the last correct answer, for error messages."""
+
+    def __init__(self) -> None:
+        self._bytes = self._packets = 0
+        self._head = b""
+
+    def __bool__(self) -> bool:
+        return self._bytes + self._packets > 0
+
+    def __str__(self) -> str:
+        parts = []
+        if self._packets:
+            parts.append(f"{self._packets} whole packets that answer no request")
+        if self._bytes:
+            text = f" ({self._head!r})" if _PRINTABLE.issuperset(self._head) else ""
+            parts.append(
+                f"{self._bytes} bytes that are no packet, the first are {self._head.hex(' ')}{text}"
+            )
+        return f"received were {' and '.join(parts) or 'no bytes'}"
+
+    def add(self, dropped: bytes) -> None:
+        """Add bytes that are no packet."""
+        self._bytes += len(dropped)
+        self._head = (self._head + dropped)[:_HEARD_BYTES]
+
+    def add_packet(self) -> None:
+        """Count a packet that answers no request."""
+        self._packets += 1
+
+    def forget(self) -> None:
+        """Begin anew: a right answer came."""
+        self._bytes = self._packets = 0
+        self._head = b""
+
+
+class _NoAnswerError(Exception):
+    """No correct answer within the time-out; `ServoBus` converts it into a typed error."""
+
+    def __init__(self, damaged: bool) -> None:
+        super().__init__(damaged)
+        self.damaged = damaged
+        """True when other data than the answer came."""
 
 
 class ServoBus:
@@ -116,8 +194,6 @@ class ServoBus:
         Period of the loop that uses the bus in s: `sync_read` ends within it, retry included.
     allowance_s
         Time for adapter and operating system in s.
-    lock_timeout_s
-        Longest wait in s for another thread's transaction.
     name
         Name of the line in error messages.
     ram_shifts
@@ -132,22 +208,19 @@ class ServoBus:
         clock: Clock,
         period_s: float = 0.005,
         allowance_s: float = 0.0015,
-        lock_timeout_s: float = 1.0,
         name: str = "the servo line",
         ram_shifts: Mapping[int, int] | None = None,
     ) -> None:
         self.alerts: set[int] = set()
-        """IDs of the servos whose last answer had the Alert bit."""
+        """IDs of the servos whose last answer had the Alert bit: register 70 is not zero."""
         self.misses = Counter[int]()
         """How many answers of each servo were lost in a row, by its ID."""
         self.baudrate = baudrate
-        self._least_allowance_s = allowance_s
         self.port = SdkPort(stream, clock, baudrate=baudrate, allowance_s=allowance_s)
         """The line, with its time-outs."""
         self._name = name
         self._clock = clock
         self._period_s = period_s
-        self._lock_timeout_s = lock_timeout_s
         self._handler = CheckedPacketHandler()
         self.patient = True
         """Whether ping and repetition wait 50 ms for their answers, and all wait for a quiet
@@ -156,7 +229,7 @@ class ServoBus:
         self._suspect_since_s = 0.0
         self._quiet_since_s: float | None = None
         self._outstanding = 0
-        self._heard = Heard()
+        self._heard = _Heard()
         self._last_error: BusTimeout | BusCorrupt | None = None
         self._ram_shifts = dict(ram_shifts or {})
         self._counts = dict.fromkeys(BusStatistics.__slots__, 0)
@@ -164,39 +237,27 @@ class ServoBus:
         self._closed = False
 
     @property
-    def lost(self) -> bool:
-        """Whether the line has failed since it was opened; then call `use` with a new one."""
-        return self.port.lost
-
-    def use(self, stream: ByteStream) -> None:
-        """Continue with a reopened line."""
-        self.port.use(stream)
-
-    def fit_allowance(self, wanted_s: float, most_s: float) -> None:
-        """Set the time for adapter and operating system in a time-out; never below the usual."""
-        self.port.allowance_s = max(self._least_allowance_s, min(wanted_s, most_s))
-
-    @property
     def statistics(self) -> BusStatistics:
         """Counts since the bus was opened."""
         return BusStatistics(**self._counts)
 
-    def in_loop(self) -> AbstractContextManager[None]:
+    @contextmanager
+    def in_loop(self) -> Iterator[None]:
         """Limit each transaction in the block to the time that a period of the loop allows.
 
         Outside the block a retry waits for ``_LATE_GUARD_S``: at a start or between commands a slow
         answer is no fault. Within it a sync read does not wait for a quiet line: its caller also
         reads Realtime Tick (register 120), which shows an old answer.
         """
-        return _InLoop(self)
-
-    def alert(self, servo_id: int) -> bool:
-        """Return whether the last answer of a servo had the Alert bit: register 70 is not zero."""
-        return servo_id in self.alerts
+        before, self.patient = self.patient, False
+        try:
+            yield
+        finally:
+            self.patient = before
 
     def ping(self, servo_id: int) -> ServoIdentity:
         """Read the identity of a servo; raises BusTimeout if no servo has this ID."""
-        return self._identity(self._ask(ping_request(servo_id)))
+        return self._identity(self._ask(_ping_request(servo_id)))
 
     def scan_at_once(self) -> tuple[tuple[ServoIdentity, ...], bool]:
         """Ping all IDs with one broadcast; return the servos, and whether damaged bytes came.
@@ -241,13 +302,10 @@ class ServoBus:
         the adapter receives no bytes. One answer may be lost by chance. Equal servos report one
         Model Number (register 0); a servo that answers no read does not.
         """
-        action = f"reading {PRESENT_BLOCK} of servo {servo_id}"
-        params = _words(self._address(servo_id, PRESENT_BLOCK), PRESENT_BLOCK.size)
-        request = Request(servo_id, Instruction.READ, PRESENT_BLOCK.size, action, params)
-        lost = 0
+        request, lost = self._reading(servo_id, PRESENT_BLOCK), 0
         for _ in range(_COLLISION_READS):
             try:
-                checked(self._ask_once(request)[0], action)
+                _checked(self._ask_once(request)[0], request.action)
             except BusCorrupt:
                 return True
             except BusTimeout:
@@ -275,14 +333,11 @@ class ServoBus:
 
     def round_trip_s(self, servo_id: int) -> float:
         """Return the round-trip time of a ping in s, also for a late answer."""
-        return self._ask_once(ping_request(servo_id), patient=True)[1]
+        return self._ask_once(_ping_request(servo_id), patient=True)[1]
 
     def read(self, servo_id: int, register: Register) -> int:
         """Return the raw value of an item, sign-extended."""
-        action = f"reading {register.name} of servo {servo_id}"
-        params = _words(self._address(servo_id, register), register.size)
-        request = Request(servo_id, Instruction.READ, register.size, action, params)
-        return register.decode(self._ask(request).data)
+        return register.decode(self._ask(self._reading(servo_id, register)).data)
 
     def write(self, servo_id: int, register: Register, raw: int) -> None:
         """Write the raw value of an item and wait for the servo's confirmation.
@@ -296,9 +351,9 @@ class ServoBus:
         """
         if not register.writable:
             raise LimitExceeded(f"{register.name} is read-only")
-        action = f"writing {register.name} = {raw} to servo {servo_id}"
+        action = f"writing {register} = {raw} to servo {servo_id}"
         params = _words(self._address(servo_id, register)) + register.encode(raw)
-        self._ask(Request(servo_id, Instruction.WRITE, 0, action, params))
+        self._ask(_Request(servo_id, Instruction.WRITE, 0, action, params))
 
     def sync_read(self, ids: Sequence[int], block: RegisterBlock) -> dict[int, dict[str, int]]:
         """Return the items of one block of several servos as raw values by name.
@@ -310,10 +365,26 @@ class ServoBus:
         BusTimeout, BusCorrupt
             When an answer is still missing; then nothing is returned.
         """
-        action = f"reading {block} of servos {ids}"
-        params = _words(self._common_address(ids, block), block.size)
-        answers = self._ask_all(ids, params, block.size, action)
-        return {servo_id: block.decode(status.data) for servo_id, status in answers.items()}
+        action, size = f"reading {block} of servos {ids}", block.size
+        params = _words(self._common_address(ids, block), size)
+        if not self.patient:
+            # A silent servo must not hide one that answers.
+            ids = sorted(ids, key=self.misses.__getitem__)
+        # Requests must not accumulate at a slow machine.
+        all_silent = min(map(self.misses.__getitem__, ids)) >= _ALL_SILENT_MISSES
+        answers: dict[int, StatusPacket] = {}
+        with self.exclusive(quiet=self.patient or all_silent):
+            deadline_s = None if self.patient else self._clock.monotonic() + self._period_s
+            self._handler.send(self.port, BROADCAST_ID, Instruction.SYNC_READ, params + bytes(ids))
+            try:
+                for servo_id in ids:
+                    answers[servo_id] = _accepted(self._receive(servo_id, size))
+            except _NoAnswerError as failure:
+                # The servos answer one after the other: after a missing answer no other follows.
+                for servo_id in ids[len(answers) :]:
+                    request = _Request(servo_id, Instruction.READ, size, action, params)
+                    answers[servo_id] = self._retry(request, failure, deadline_s)
+        return {i: block.decode(_checked(status, action).data) for i, status in answers.items()}
 
     def sync_write(self, values: Mapping[int, Sequence[int]], block: RegisterBlock) -> None:
         """Write the items of one block to several servos at once.
@@ -333,21 +404,18 @@ class ServoBus:
         for servo_id, raws in values.items():
             params += bytes((servo_id,)) + block.encode(raws)
         # No servo answers: a late answer does no harm.
-        self._begin(quiet=False)
-        try:
+        with self.exclusive(quiet=False):
             self._handler.send(self.port, BROADCAST_ID, Instruction.SYNC_WRITE, params)
-        finally:
-            self._end()
 
     def reboot(self, servo_id: int) -> None:
         """Restart a servo: torque off, RAM at its defaults; it lets a held part go.
 
         Sent only once, because a repetition would restart it again.
         """
-        request = Request(servo_id, Instruction.REBOOT, 0, f"reboot of servo {servo_id}")
+        request = _Request(servo_id, Instruction.REBOOT, 0, f"reboot of servo {servo_id}")
         status, _ = self._ask_once(request)
         self.alerts.discard(servo_id)
-        checked(status, request.action)
+        _checked(status, request.action)
 
     def expect_late_answer(self) -> None:
         """Make the next transaction wait for a quiet line, after an unexpected answer."""
@@ -361,30 +429,20 @@ class ServoBus:
             self.port.close()
 
     @contextmanager
-    def exclusive(self) -> Iterator[None]:
-        """Hold the line for one transaction, after a suspect line has become quiet.
+    def exclusive(self, *, quiet: bool = True) -> Iterator[None]:
+        """Hold the line for one transaction; ``quiet``: after a suspect line has become quiet.
 
         Raises
         ------
         BusBusy
-            When another thread holds the line for more than ``lock_timeout_s``.
+            When another thread holds the line for more than 1 s.
         PortLost
             After `close`.
         BusCorrupt
             When the line never becomes quiet.
         """
-        self._begin(quiet=True)
-        try:
-            yield
-        finally:
-            self._end()
-
-    def _begin(self, *, quiet: bool) -> None:
-        """Begin a transaction as `exclusive` does; ``quiet``: after a suspect line became quiet."""
-        if not self._lock.acquire(timeout=self._lock_timeout_s):
-            raise BusBusy(
-                f"another thread holds the servo bus for more than {self._lock_timeout_s} s"
-            )
+        if not self._lock.acquire(timeout=_LOCK_TIMEOUT_S):
+            raise BusBusy(f"another thread holds the servo bus for more than {_LOCK_TIMEOUT_S} s")
         try:
             if self._closed:
                 raise PortLost("the servo bus is closed: open it again")
@@ -393,13 +451,10 @@ class ServoBus:
                 self._wait_until_quiet()
             elif self._suspect and self._clock.monotonic() - self._suspect_since_s > _LATE_GUARD_S:
                 self._mark_clean()
-        except BaseException:
-            self._end()
-            raise
-
-    def _end(self) -> None:
-        self.port.is_using = False
-        self._lock.release()
+            yield
+        finally:
+            self.port.is_using = False
+            self._lock.release()
 
     def _address(self, servo_id: int, what: Register | RegisterBlock) -> int:
         """Return the address of an item or a block in the control table of a servo's model."""
@@ -408,7 +463,7 @@ class ServoBus:
 
     def _common_address(self, ids: Sequence[int], block: RegisterBlock) -> int:
         for servo_id in ids:
-            check_id(servo_id)
+            _check_id(servo_id)
         addresses = {self._address(servo_id, block) for servo_id in ids}
         if len(addresses) != 1:
             raise LimitExceeded(
@@ -417,63 +472,40 @@ class ServoBus:
             )
         return addresses.pop()
 
+    def _reading(self, servo_id: int, what: Register | RegisterBlock) -> _Request:
+        params = _words(self._address(servo_id, what), what.size)
+        action = f"reading {what} of servo {servo_id}"
+        return _Request(servo_id, Instruction.READ, what.size, action, params)
+
     def _identity(self, status: StatusPacket) -> ServoIdentity:
         number = int.from_bytes(status.data[:2], "little")
         self._ram_shifts[status.servo_id] = ram_shift(number)
         return ServoIdentity(servo_id=status.servo_id, model_number=number, firmware=status.data[2])
 
-    def _ask(self, request: Request) -> StatusPacket:
+    def _ask(self, request: _Request) -> StatusPacket:
         """Send a request and return the checked answer; repeat it when the answer is lost.
 
         Raises BusTimeout or BusCorrupt when no repetition was answered, or the line did not become
         quiet. Raises ServoRejected when the servo refuses.
         """
-        check_id(request.servo_id)
-        self._begin(quiet=self.patient)
-        try:
-            if self._suspect and not self.patient:
-                self._ping(request.servo_id)
-            status = accepted(self._exchange(request))
-        except NoAnswerError as failure:
-            status = self._retry(request, failure)
-        finally:
-            self._end()
-        return checked(status, request.action)
+        _check_id(request.servo_id)
+        with self.exclusive(quiet=self.patient):
+            try:
+                if self._suspect and not self.patient:
+                    self._ping(request.servo_id)
+                status = _accepted(self._exchange(request))
+            except _NoAnswerError as failure:
+                status = self._retry(request, failure)
+        return _checked(status, request.action)
 
-    def _ask_all(
-        self, ids: Sequence[int], params: bytes, size: int, action: str
-    ) -> dict[int, StatusPacket]:
-        """Ask several servos for the same block with one sync read; return the answers by ID.
-
-        A servo that does not answer is asked alone. In the loop the servos are asked in the order
-        of their lost answers, so that a silent one does not hide one that answers. Raises
-        BusTimeout, BusCorrupt or ServoRejected as `_ask` does, for the first servo without a right
-        answer.
-        """
-        if not self.patient:
-            ids = sorted(ids, key=self.misses.__getitem__)
-        # Requests must not accumulate at a slow machine.
-        all_silent = min(map(self.misses.__getitem__, ids)) >= _ALL_SILENT_MISSES
-        self._begin(quiet=self.patient or all_silent)
-        try:
-            deadline_s = None if self.patient else self._clock.monotonic() + self._period_s
-            answers, failure = self._sync_read(ids, params, size)
-            for servo_id in ids:
-                if servo_id not in answers:
-                    request = Request(servo_id, Instruction.READ, size, action, params)
-                    answers[servo_id] = self._retry(request, failure, deadline_s)
-        finally:
-            self._end()
-        return {servo_id: checked(answers[servo_id], action) for servo_id in ids}
-
-    def _ask_once(self, request: Request, *, patient: bool = False) -> tuple[StatusPacket, float]:
+    def _ask_once(self, request: _Request, *, patient: bool = False) -> tuple[StatusPacket, float]:
         """Send a request that is never repeated; return the answer and the time in s it took."""
-        check_id(request.servo_id)
+        _check_id(request.servo_id)
         with self.exclusive():
             sent_s = self._clock.monotonic()
             try:
                 status = self._exchange(request, patient=patient)
-            except NoAnswerError as failure:
+            except _NoAnswerError as failure:
                 raise self._given_up(failure, request) from None
             return status, self._clock.monotonic() - sent_s
 
@@ -487,27 +519,47 @@ class ServoBus:
         self._outstanding = 0
 
     def _retry(
-        self, request: Request, failure: NoAnswerError, deadline_s: float | None = None
+        self, request: _Request, failure: _NoAnswerError, deadline_s: float | None = None
     ) -> StatusPacket:
         """Repeat a request after a ping, in the loop once; raise without an answer."""
         pings, repetitions = 0, _REPETITIONS if self.patient else 1
         for _ in range(repetitions):
-            with suppress(NoAnswerError):
+            with suppress(_NoAnswerError):
                 self._ping(request.servo_id, deadline_s)
                 pings += 1
                 self._counts["retries"] += 1
-                return accepted(self._exchange(request, patient=self.patient))
+                return _accepted(self._exchange(request, patient=self.patient))
         # In the loop, with one repetition, noise does the same.
         pinged = self.patient and pings == repetitions
         raise self._given_up(failure, request, pinged=pinged) from None
 
     def _given_up(
-        self, failure: NoAnswerError, request: Request, *, pinged: bool = False
+        self, failure: _NoAnswerError, request: _Request, *, pinged: bool = False
     ) -> BusTimeout | BusCorrupt:
-        """Return the error of a servo without an answer; the line is now suspect."""
+        """Return the error of a servo without an answer; the line is now suspect.
+
+        ``pinged``: whether the servo has answered each ping between its requests.
+        """
         self._mark_suspect()
-        self._last_error = given_up(failure, request, self._heard, pinged=pinged)
-        return self._last_error
+        if failure.damaged:
+            received = f" ({self._heard})" if self._heard else ""
+            error: BusTimeout | BusCorrupt = BusCorrupt(
+                f"{request.action}: the answers of servo {request.servo_id} arrive damaged, twice "
+                f"in a row{received}: check cable, termination and that no two servos share the ID"
+            )
+        elif pinged:
+            error = AnswersOff(
+                f"{request.action}: no answer of servo {request.servo_id}, although it answers "
+                f"pings: its Status Return Level (register 68) is below 2. A start or a release "
+                f"sets it to 2, and so does switching its supply off and on"
+            )
+        else:
+            error = BusTimeout(
+                f"{request.action}: no answer of servo {request.servo_id}, twice in a row: check "
+                f"its supply, cable, ID and baud rate"
+            )
+        self._last_error = error
+        return error
 
     def _ping(self, servo_id: int, deadline_s: float | None = None) -> None:
         """Ping a servo, so that no earlier answer of it is pending.
@@ -515,29 +567,13 @@ class ServoBus:
         The answer to a ping with a long wait may be an earlier one: then wait for a quiet line.
         """
         if deadline_s is not None and self._clock.monotonic() >= deadline_s:
-            raise NoAnswerError(damaged=False)
-        self._exchange(ping_request(servo_id), patient=self.patient)
+            raise _NoAnswerError(damaged=False)
+        self._exchange(_ping_request(servo_id), patient=self.patient)
         if self.patient and self._outstanding > 0:
             self._wait_until_quiet()
         self._outstanding = 0
 
-    def _sync_read(
-        self, ids: Sequence[int], params: bytes, size: int
-    ) -> tuple[dict[int, StatusPacket], NoAnswerError]:
-        """Send a sync read and collect the answers up to the first missing one.
-
-        The servos answer one after the other: after a missing answer no other follows.
-        """
-        self._handler.send(self.port, BROADCAST_ID, Instruction.SYNC_READ, params + bytes(ids))
-        answers: dict[int, StatusPacket] = {}
-        try:
-            for servo_id in ids:
-                answers[servo_id] = accepted(self._receive(servo_id, size))
-        except NoAnswerError as failure:
-            return answers, failure
-        return answers, NoAnswerError(damaged=False)
-
-    def _exchange(self, request: Request, *, patient: bool = False) -> StatusPacket:
+    def _exchange(self, request: _Request, *, patient: bool = False) -> StatusPacket:
         self._handler.send(self.port, request.servo_id, request.instruction, request.params)
         return self._receive(request.servo_id, request.size, patient=patient)
 
@@ -556,7 +592,7 @@ class ServoBus:
                 self.misses[servo_id] += 1
                 damaged |= bool(self._handler.dropped)
                 self._counts["corrupt" if damaged else "timeouts"] += 1
-                raise NoAnswerError(damaged)
+                raise _NoAnswerError(damaged)
             if status.servo_id != servo_id:
                 self._counts["late"] += 1
                 self._heard.add_packet()
@@ -619,17 +655,37 @@ class ServoBus:
         )
 
 
-class _InLoop:
-    """Transactions of a period."""
+def _ping_request(servo_id: int) -> _Request:
+    """Return the request of a ping."""
+    return _Request(servo_id, Instruction.PING, PING_SIZE, f"ping of servo {servo_id}")
 
-    def __init__(self, bus: ServoBus) -> None:
-        self._bus = bus
 
-    def __enter__(self) -> None:
-        self._before, self._bus.patient = self._bus.patient, False
+def protocol_1_text(ids: Sequence[int]) -> str:
+    """Return the hint for servos that answer in Protocol 1.0."""
+    return (
+        f"answers in Protocol 1.0 come from servo {', '.join(map(str, ids))}: set Protocol Type "
+        f"(register 13) to 2 with the servo maker's wizard"
+    )
 
-    def __exit__(self, *_error: object) -> None:
-        self._bus.patient = self._before
+
+def _check_id(servo_id: int) -> None:
+    """Raise LimitExceeded where no servo can have an ID."""
+    if not 0 <= servo_id <= HIGHEST_ID:
+        raise LimitExceeded(f"servo ID {servo_id} is not from 0 to {HIGHEST_ID}")
+
+
+def _checked(status: StatusPacket, action: str) -> StatusPacket:
+    """Return an answer; raise ServoRejected where the servo has refused the action."""
+    if status.error:
+        raise ServoRejected(status.servo_id, status.error, action)
+    return status
+
+
+def _accepted(status: StatusPacket) -> StatusPacket:
+    """Return an answer; raise _NoAnswerError where the servo received the request damaged."""
+    if status.error == _CRC_REFUSED:
+        raise _NoAnswerError(damaged=True)
+    return status
 
 
 def _words(*values: int) -> bytes:

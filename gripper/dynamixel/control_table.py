@@ -46,6 +46,9 @@ class Register:
     eeprom: bool = False
     """EEPROM items can be written only with torque off."""
 
+    def __str__(self) -> str:
+        return self.name
+
     @property
     def end(self) -> int:
         """Address of the first byte after the item."""

@@ -84,7 +84,8 @@ def check_link(bus: "ServoBus", ids: Sequence[int], period_s: float) -> float:
             f"median is {typical_s * 1e3:.1f} ms. This machine is too busy for the loop, or the "
             f"cable is bad: end other programs or lower loop_rate_hz. Nothing has moved"
         )
-    bus.fit_allowance(_ALLOWANCE_REACH * high_s, _ALLOWANCE_SHARE * period_s)
+    fitted_s = min(_ALLOWANCE_REACH * high_s, _ALLOWANCE_SHARE * period_s)
+    bus.port.allowance_s = max(bus.port.least_allowance_s, fitted_s)
     return typical_s
 
 

@@ -204,7 +204,9 @@ class SdkPort:
         self._clock = clock
         self._byte_s = 10.0 / baudrate
         self.return_delay_s = return_delay_s
-        self.allowance_s = allowance_s
+        self.allowance_s = self.least_allowance_s = allowance_s
+        """Allowance for adapter and operating system in s, and the one that it never falls below.
+        """
         self.passed = bytearray()
         """Bytes that were read; the reader clears them."""
         self.use(stream)

@@ -165,7 +165,7 @@ class Feedback:
             supply_v=supply_v,
             tick_ms=tick_ms,
             limit_a=heat.limit_a,
-            alert=self._bus.alert(servo.servo_id),
+            alert=servo.servo_id in self._bus.alerts,
         )
 
     def _gripper_state(self, servos: tuple[ServoState, ...], now_s: float) -> ServoFeedback:

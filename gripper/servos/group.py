@@ -5,7 +5,7 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 
 from gripper.clock import Clock
-from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.bus import ServoBus, protocol_1_text
 from gripper.dynamixel.control_table import (
     BUS_WATCHDOG,
     GOAL_CURRENT,
@@ -22,7 +22,6 @@ from gripper.dynamixel.control_table import (
     RegisterBlock,
 )
 from gripper.dynamixel.models import OperatingMode, ServoModel, model_name
-from gripper.dynamixel.transactions import protocol_1_text
 from gripper.errors import (
     AnswersOff,
     BusCorrupt,

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from functools import cache
 from math import ceil
 
+from gripper.dynamixel.bus import HIGHEST_ID
 from gripper.dynamixel.models import PWM_SLOPE_RAW, OperatingMode, ServoModel
-from gripper.dynamixel.transactions import HIGHEST_ID
 from gripper.errors import LimitExceeded
 from gripper.values.servo_checks import HardwareError, VerificationRow
 

@@ -28,7 +28,7 @@ from cell.errors import CellError, CellStateError, CellStopped, NoPartFound, Pla
 from cell.hand.interface import HandStatistics
 from cell.learning.shape_reading import in_words, shape_reader
 from cell.recording.reader import read_recording
-from gripper.dynamixel.transactions import BusStatistics
+from gripper.dynamixel.bus import BusStatistics
 from gripper.errors import GripperError, LimitExceeded
 from gripper.force.timing import LoopStatistics
 from gripper.values.outcome import GraspResult

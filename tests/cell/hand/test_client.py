@@ -38,7 +38,7 @@ from cell.hand.messages import (
     packed,
 )
 from cell.hand.server import HandServer, Outbox
-from gripper.dynamixel.transactions import BusStatistics
+from gripper.dynamixel.bus import BusStatistics
 from gripper.errors import (
     BusTimeout,
     GraspStopped,

@@ -44,7 +44,7 @@ from cell.recording.recorder import ROOM_BYTES, Recorder
 from cell.recording.retention import LEAST_FREE_BYTES, Retention, mark, unmark
 from cell.recording.schema import RECOVERED
 from cell.recording.sink import LEFT_BYTES, RecordingSink
-from gripper.dynamixel.transactions import BusStatistics
+from gripper.dynamixel.bus import BusStatistics
 from gripper.force.timing import LoopStatistics
 from gripper.values.force_sensor import ForceSample
 from recognition.grasp import Grasp, GraspCommand, SelfZero

@@ -53,10 +53,10 @@ def test_stuffed_answer_is_sign_extended(script, bus) -> None:
 def test_alert_accompanies_data_and_is_kept(script, bus) -> None:
     script.expect("FFFFFD00 01 0700 02 4600 0100 3CA3", "FFFFFD00 01 0500 55 80 20 9921")
     assert bus.read(1, HARDWARE_ERROR_STATUS) == 0x20
-    assert bus.alert(1)
+    assert bus.alerts == {1}
     script.expect(READ_132, IS_166)
     bus.read(1, PRESENT_POSITION)
-    assert not bus.alert(1)
+    assert not bus.alerts
 
 
 @pytest.mark.parametrize("error", ["01", "02", "04", "05", "06", "07"])
@@ -241,8 +241,8 @@ def test_a_closed_bus_is_lost(script, bus) -> None:
         bus.ping(1)
 
 
-def test_another_threads_transaction_is_waited_for_only_so_long(script, clock) -> None:
-    bus = ServoBus(script, baudrate=1_000_000, clock=clock, lock_timeout_s=0.01)
+def test_another_threads_transaction_is_waited_for_only_so_long(script, bus, monkeypatch) -> None:
+    monkeypatch.setattr("gripper.dynamixel.bus._LOCK_TIMEOUT_S", 0.01)
     entered, leave = threading.Event(), threading.Event()
 
     def occupy() -> None:
