@@ -274,7 +274,7 @@ def fault_response(error: BaseException, runner: LoopRunner, *, moving: bool) ->
             isinstance(error, ServoFault) and error.torque_lost
         )
         with suppress(GripperError):
-            if isinstance(error, ForceAboveCap) or servos.guard.force_is_too_high():
+            if isinstance(error, ForceAboveCap) or servos.goals.force_is_too_high():
                 runner.lower_force()
             elif one_sided:
                 servos.hold_position()

@@ -215,7 +215,7 @@ class LoopRunner:
         # Pads and CAN are supervised in each period, also without answers of the servos.
         sample = self._sensor.latest_force()
         if sample is not None and (sample.valid or sample.at_least):
-            self.servos.guard.note_force(sample)
+            self.servos.goals.note_force(sample)
         if sample is not None and sample.valid:
             running.fresh_s = max(running.fresh_s, sample.t_s)
         if running.needs_force:
@@ -229,7 +229,7 @@ class LoopRunner:
             action = running.step(Moment(now_s=state.t_s, dt_s=dt_s, state=state, sample=sample))
         except LimitExceeded:
             # More force than can be is above the cap first of all, where it is beyond that too.
-            self.servos.guard.check_force(noise_excluded=True)
+            self.servos.goals.check_force(noise_excluded=True)
             raise
         if action.goals is not None:
             self.servos.goals.write(action.goals, state)
@@ -265,8 +265,8 @@ class LoopRunner:
         asked = [goal.lasting for goal in servos.goals.asked]
         left, least_n, state = 1.0, inf, servos.read()
         from_m, opened_s, end_s = inf, -inf, state.t_s + _LONGEST_LOWERING * _LOWERING_S
-        while goals and (newest := servos.guard.newest_force) and state.t_s < end_s:
-            forces_n = servos.guard.newest_forces_n
+        while goals and (newest := servos.goals.newest_force) and state.t_s < end_s:
+            forces_n = servos.goals.newest_forces_n
             if max(forces_n) < _FOLLOWS_SHARE * least_n:
                 least_n, from_m = max(forces_n), state.aperture_m
             least = -1.0 if min(forces_n) > most_n else share
@@ -284,7 +284,7 @@ class LoopRunner:
                 opened_s = state.t_s
             sample = self._sensor.latest_force()
             if sample is not None and (sample.valid or sample.at_least):
-                servos.guard.note_force(sample)
+                servos.goals.note_force(sample)
         if opened_s > -inf:
             servos.goals.write(holding_position(asked, state, share), state)
 
@@ -299,7 +299,7 @@ class LoopRunner:
                 f"{self._settings.force_stale_s} s: the goals are frozen; check the tactile "
                 f"sensor, then clear the fault"
             )
-        self.servos.guard.check_force()
+        self.servos.goals.check_force()
 
     def _check_health(self, state: ServoFeedback) -> None:
         self._cycles += 1

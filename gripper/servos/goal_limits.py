@@ -93,12 +93,25 @@ def standing(goals: Sequence[ServoGoal], state: ServoFeedback) -> tuple[ServoGoa
     return tuple(replace(goal, angle_rad=angle_rad) for goal, angle_rad in pairs)
 
 
-class GoalGuard:
-    """Limits of the goals: force, current, angle, speed, temperature, age of feedback."""
+class GoalWriter:
+    """Writer of the goals, with their limits: force, current, angle, speed, temperature, age.
 
-    def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:
-        self._settings = settings
+    It keeps the goals that are in force.
+    """
+
+    def __init__(
+        self, bus: ServoBus, linkage: Linkage, settings: GripperSettings, clock: Clock
+    ) -> None:
+        self.last: tuple[ServoGoal, ...] = ()
+        """The goals written last, one for each servo; empty while no goal is in force."""
+        self.asked: tuple[ServoGoal, ...] = ()
+        """The last goals as they were asked for: those that were written may brake."""
+        self.raws: dict[int, list[int]] = {}
+        """The last contents of the goals' registers, by the servos' IDs, in their order."""
+        self._bus = bus
         self._linkage = linkage
+        self._settings = settings
+        self._clock = clock
         self._forces = RecentForce()
         self._stood_a: dict[int, float] = {}
         self._pushes: dict[int, int] = {}
@@ -108,6 +121,60 @@ class GoalGuard:
         self._open_rad = linkage.angles_rad(settings.aperture_open_m)
         self._lowest_rad = most_closed_rad(settings, linkage)
         self._pads = 0.5 * linkage.n_servos
+
+    def forget(self) -> None:
+        """Discard the last goals: they are no longer in force."""
+        self.last = ()
+
+    def write(
+        self, goals: Sequence[ServoGoal], state: ServoFeedback, *, final: bool = False
+    ) -> None:
+        """Write goal current and goal position of all servos at once, within all limits.
+
+        This is the only place that writes goals.
+
+        Parameters
+        ----------
+        state
+            Newest feedback: the start of the motion to the goals.
+        final
+            True where no other goals may follow.
+        """
+        self.asked = tuple(goals)
+        goals = [
+            goal if goal.current_a <= servo.limit_a else replace(goal, current_a=servo.limit_a)
+            for goal, servo in zip(goals, state.servos, strict=True)
+        ]
+        goals = self.bounded(goals, state, final=final)
+        self.check(goals, state)
+        values: dict[int, list[int]] = {}
+        for goal, servo, settings in zip(goals, state.servos, self._settings.servos, strict=True):
+            # Relative to the present position: whole turns of the count do not matter.
+            model = settings.servo_model
+            delta_rad = (goal.angle_rad - servo.angle_rad) * settings.direction
+            side = copysign(1.0, goal.angle_rad - servo.angle_rad)
+            against_rad_s = max(0.0, -side * servo.velocity_rad_s)
+            goal_current = model.current_raw(goal.current_a, servo.supply_v, against_rad_s)
+            least_raw, most_raw = model.goal_range_raw
+            if not least_raw <= servo.position_raw <= most_raw:
+                raise LimitExceeded(
+                    f"servo {servo.servo_id} stands at {servo.position_raw}, a {model.name} takes "
+                    f"goals from {least_raw} to {most_raw} only: switch its supply off and push "
+                    "its finger back by hand"
+                )
+            goal_position = servo.position_raw + round(delta_rad / model.rad_per_pulse)
+            # A servo would refuse a goal beyond, and no servo answers this write.
+            goal_position = min(max(goal_position, least_raw), most_raw)
+            values[servo.servo_id] = [
+                min(goal_current, model.current_limit_raw),
+                model.goal_velocity_raw,
+                0,  # no limit of the acceleration
+                round(goal.profile_rad_s / model.velocity_unit_rad_s),
+                goal_position,
+            ]
+        self.raws = values
+        self._bus.sync_write(values, GOAL_BLOCK)
+        self.last = tuple(goals)
 
     def note_force(self, sample: ForceSample) -> None:
         """Add the newest force sample; the same sample may come again."""
@@ -246,12 +313,13 @@ class GoalGuard:
                 f"release the part"
             )
 
-    def check(self, goals: Sequence[ServoGoal], state: ServoFeedback, now_s: float) -> None:
+    def check(self, goals: Sequence[ServoGoal], state: ServoFeedback) -> None:
         """Check goals before they are written; the next goals are compared with those that pass.
 
         Raises LimitExceeded, which names the limit, when a goal exceeds one.
         """
-        settings, age_s = self._settings, now_s - state.t_s
+        settings, now_s = self._settings, self._clock.monotonic()
+        age_s = now_s - state.t_s
         if age_s > settings.bus_loss_s:
             raise LimitExceeded(
                 f"the servos' feedback is {age_s:.3f} s old, at most {settings.bus_loss_s} s are "
@@ -387,75 +455,3 @@ def overrun_rad(model: ServoModel, drive: DriveCharacteristic) -> float:
     """Return the distance in rad of a goal beyond an opening, so that friction stops no finger."""
     breaking_a = MOST_STICTION * drive.breakaway_a
     return max(0.6 * OPENING_MARGIN_RAD, running_lead_rad(model, breaking_a, 0.0))
-
-
-class GoalWriter:
-    """Writer of the goals, behind their limits; keeps the goals that are in force."""
-
-    def __init__(
-        self, bus: ServoBus, settings: GripperSettings, clock: Clock, guard: GoalGuard
-    ) -> None:
-        self.last: tuple[ServoGoal, ...] = ()
-        """The goals written last, one for each servo; empty while no goal is in force."""
-        self.asked: tuple[ServoGoal, ...] = ()
-        """The last goals as they were asked for: those that were written may brake."""
-        self.raws: dict[int, list[int]] = {}
-        """The last contents of the goals' registers, by the servos' IDs, in their order."""
-        self._guard = guard
-        self._bus = bus
-        self._settings = settings
-        self._clock = clock
-
-    def forget(self) -> None:
-        """Discard the last goals: they are no longer in force."""
-        self.last = ()
-
-    def write(
-        self, goals: Sequence[ServoGoal], state: ServoFeedback, *, final: bool = False
-    ) -> None:
-        """Write goal current and goal position of all servos at once, within all limits.
-
-        This is the only place that writes goals.
-
-        Parameters
-        ----------
-        state
-            Newest feedback: the start of the motion to the goals.
-        final
-            True where no other goals may follow.
-        """
-        self.asked = tuple(goals)
-        goals = [
-            goal if goal.current_a <= servo.limit_a else replace(goal, current_a=servo.limit_a)
-            for goal, servo in zip(goals, state.servos, strict=True)
-        ]
-        goals = self._guard.bounded(goals, state, final=final)
-        self._guard.check(goals, state, self._clock.monotonic())
-        values: dict[int, list[int]] = {}
-        for goal, servo, settings in zip(goals, state.servos, self._settings.servos, strict=True):
-            # Relative to the present position: whole turns of the count do not matter.
-            model = settings.servo_model
-            delta_rad = (goal.angle_rad - servo.angle_rad) * settings.direction
-            side = copysign(1.0, goal.angle_rad - servo.angle_rad)
-            against_rad_s = max(0.0, -side * servo.velocity_rad_s)
-            goal_current = model.current_raw(goal.current_a, servo.supply_v, against_rad_s)
-            least_raw, most_raw = model.goal_range_raw
-            if not least_raw <= servo.position_raw <= most_raw:
-                raise LimitExceeded(
-                    f"servo {servo.servo_id} stands at {servo.position_raw}, a {model.name} takes "
-                    f"goals from {least_raw} to {most_raw} only: switch its supply off and push "
-                    "its finger back by hand"
-                )
-            goal_position = servo.position_raw + round(delta_rad / model.rad_per_pulse)
-            # A servo would refuse a goal beyond, and no servo answers this write.
-            goal_position = min(max(goal_position, least_raw), most_raw)
-            values[servo.servo_id] = [
-                min(goal_current, model.current_limit_raw),
-                model.goal_velocity_raw,
-                0,  # no limit of the acceleration
-                round(goal.profile_rad_s / model.velocity_unit_rad_s),
-                goal_position,
-            ]
-        self.raws = values
-        self._bus.sync_write(values, GOAL_BLOCK)
-        self.last = tuple(goals)

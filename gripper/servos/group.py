@@ -36,7 +36,6 @@ from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissio
 from gripper.servos.feedback import Feedback
 from gripper.servos.goal_limits import (
     GOAL_BLOCK,
-    GoalGuard,
     GoalWriter,
     ServoGoal,
     closing_margin_rad,
@@ -92,10 +91,9 @@ class Servos:
         """Both of the gripper."""
         self._clock = clock
         self._ids = [servo.servo_id for servo in settings.servos]
-        self.guard = GoalGuard(settings, linkage)
-        """Limits of the goals; the force is passed to it."""
-        self.goals = GoalWriter(bus, settings, clock, self.guard)
-        """Writer of the goals, with the last ones."""
+        self.goals = GoalWriter(bus, linkage, settings, clock)
+        """Writer of the goals within their limits, with the last ones; the force is passed to it.
+        """
         self.feedback = Feedback(bus, linkage, settings, clock, self.check_torque)
         """Reader of the feedback, with the last one."""
         self.notes: list[str] = []
@@ -150,7 +148,7 @@ class Servos:
     @property
     def fresh_force(self) -> ForceSample | None:
         """The newest valid force sample; None where it is older than ``force_stale_s``."""
-        sample = self.guard.newest_force
+        sample = self.goals.newest_force
         if sample is None:
             return None
         fresh = self._clock.monotonic() - sample.t_s <= self._settings.force_stale_s

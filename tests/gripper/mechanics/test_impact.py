@@ -14,7 +14,7 @@ from gripper.errors import LimitExceeded
 from gripper.force.approach import approach
 from gripper.mechanics.impact import approach_speed_m_s, check_approach, impact_limit
 from gripper.mechanics.kinematics import ParallelLinkage, transmissions
-from gripper.servos.goal_limits import GoalGuard
+from gripper.servos.goal_limits import GoalWriter
 from gripper.settings import GripperSettings, ServoSettings
 from tests.values import measured_drives
 
@@ -106,7 +106,7 @@ def test_the_limit_stands_beside_the_write_and_not_in_the_caller_alone() -> None
         lambda settings, *_where, **_how: settings.approach_speed_m_s,
     )
     unguarded = mock.patch.object(
-        GoalGuard, "bounded", lambda _self, goals, _state, **_how: tuple(goals)
+        GoalWriter, "bounded", lambda _self, goals, _state, **_how: tuple(goals)
     )
     with as_asked:
         written = force_cap.trial(9008, HARMED)

@@ -2,7 +2,7 @@
 
 import random
 from dataclasses import replace
-from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
@@ -11,10 +11,11 @@ from gripper.errors import ForceAboveCap, ForceSensorStale, LimitExceeded
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.impact import SLOWEST_M_S, impact_limit
 from gripper.mechanics.kinematics import ParallelLinkage
-from gripper.servos.goal_limits import GoalGuard, GoalWriter, ServoGoal
+from gripper.servos.goal_limits import GoalWriter, ServoGoal
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.state import Cycle, ServoFeedback
+from simulator.clock import VirtualClock
 from tests.values import make_servo, make_state, measured_drives
 
 LINKAGE = ParallelLinkage(link_m=0.06)
@@ -23,20 +24,27 @@ RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 
 
 SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1),))
+PAIR = measured_drives(GripperSettings())
+
+
+def make_writer(settings: GripperSettings = PAIR, linkage: ParallelLinkage = LINKAGE) -> GoalWriter:
+    clock = VirtualClock()
+    clock.sleep(1.0)  # the time of `make_state`
+    return GoalWriter(Mock(), linkage, settings, clock)
 
 
 @pytest.mark.parametrize(("over_n", "at_most_s"), [(0.8, 0.03), (3.0, 0.006)])
 def test_the_cap_is_noticed_the_sooner_the_more_it_is_passed(over_n, at_most_s) -> None:
     draw = random.Random(4)
-    guard = GoalGuard(SETTINGS, ParallelLinkage(link_m=0.06, n_servos=1))
+    writer = make_writer(SETTINGS, ParallelLinkage(link_m=0.06, n_servos=1))
     reported_s = None
     for i in range(2200):
         t_s = 0.005 * i
         force_n = SETTINGS.force_max_n + (over_n if t_s > 10.0 else -0.5) + draw.gauss(0.0, 0.3)
-        guard.note_force(
+        writer.note_force(
             ForceSample(t_s=t_s, force_n=(force_n, force_n), lag_s=0.0015, noise_n=0.21)
         )
-        if reported_s is None and guard.force_is_too_high():
+        if reported_s is None and writer.force_is_too_high():
             reported_s = t_s
     assert 10.0 < reported_s <= 10.0 + at_most_s
 
@@ -66,7 +74,6 @@ def test_a_force_of_taxels_at_full_scale_is_a_lower_bound(make_cell, measured_n,
     assert cell.force_n > 1.0
 
 
-PAIR = measured_drives(GripperSettings())
 FRICTION_N, ONE_N_A = 1.5, 0.06 / 1.80
 """Friction of an XM430-W350 at a pad on a link of 60 mm in N, and its current in A for 1 N."""
 
@@ -90,30 +97,31 @@ GOOD = ServoGoal(angle_rad=0.09, current_a=0.2)
         (GOOD, 0.5, r"feedback is 0\.500 s old"),
     ],
 )
-def test_the_guard_stands_beside_the_write(goal: ServoGoal, age_s: float, says: str) -> None:
-    guard, state = GoalGuard(PAIR, LINKAGE), standing(velocity_rad_s=0.0)
-    guard.check([GOOD, GOOD], state, state.t_s)
+def test_the_limits_stand_beside_the_write(goal: ServoGoal, age_s: float, says: str) -> None:
+    writer, state = make_writer(), standing(velocity_rad_s=0.0)
+    writer.check([GOOD, GOOD], state)
+    writer._clock.sleep(age_s)
     with pytest.raises(LimitExceeded, match=says):
-        guard.check([GOOD, goal], state, state.t_s + age_s)
+        writer.check([GOOD, goal], state)
 
 
 def test_a_finger_past_its_end_may_stay_where_it_was_read_one_count_before() -> None:
-    guard, count_rad = GoalGuard(PAIR, LINKAGE), PAIR.servos[0].servo_model.rad_per_pulse
+    writer, count_rad = make_writer(), PAIR.servos[0].servo_model.rad_per_pulse
     past = replace(make_servo(angle_rad=1.4), velocity_rad_s=0.0)
     state = make_state(servos=(past, replace(past, servo_id=2)))
     stays, opens = (replace(GOOD, angle_rad=1.4 + n * count_rad) for n in (1, 2))
-    guard.check([stays, stays], state, state.t_s)
+    writer.check([stays, stays], state)
     with pytest.raises(LimitExceeded, match="goal angle"):
-        guard.check([opens, opens], state, state.t_s)
+        writer.check([opens, opens], state)
 
 
 def test_a_force_above_the_cap_counts_while_it_is_young() -> None:
-    guard, state = GoalGuard(PAIR, LINKAGE), standing(velocity_rad_s=0.0)
-    guard.note_force(ForceSample(t_s=state.t_s, force_n=(20.0, 20.0)))
+    writer, state = make_writer(), standing(velocity_rad_s=0.0)
+    writer.note_force(ForceSample(t_s=state.t_s, force_n=(20.0, 20.0)))
     with pytest.raises(ForceAboveCap):
-        guard.check([GOOD, GOOD], state, state.t_s)
-    late = replace(state, t_s=state.t_s + 2.0 * PAIR.force_stale_s)
-    guard.check([GOOD, GOOD], late, late.t_s)
+        writer.check([GOOD, GOOD], state)
+    writer._clock.sleep(2.0 * PAIR.force_stale_s)
+    writer.check([GOOD, GOOD], replace(state, t_s=writer._clock.monotonic()))
 
 
 @pytest.mark.parametrize(
@@ -130,19 +138,14 @@ def test_a_force_above_the_cap_counts_while_it_is_young() -> None:
 def test_no_more_current_is_written_than_the_force_that_is_asked_for_needs(goal, drive_n) -> None:
     """Whatever the pads show: no sample of them is there."""
     state = standing(velocity_rad_s=0.0)
-    written: list[dict[int, list[int]]] = []
-    writer = GoalWriter(
-        SimpleNamespace(sync_write=lambda values, _block: written.append(values)),
-        replace(PAIR, current_max_a=1.0),
-        SimpleNamespace(monotonic=lambda: state.t_s),
-        GoalGuard(PAIR, LINKAGE),
-    )
+    writer = make_writer(replace(PAIR, current_max_a=1.0))
     for angle_rad in (0.05, 0.05, 0.05, 0.05, 0.1):
         rest = ServoGoal(angle_rad=angle_rad, current_a=0.1)
         pushes = ServoGoal(angle_rad=angle_rad, current_a=0.66, rest=rest, **goal)
         writer.write([pushes] * 2, state)
     pushed_a, *steady_a, again_a, still_a = (
-        [0.00269 * raws[0] for raws in values.values()] for values in written
+        [0.00269 * raws[0] for raws in write.args[0].values()]
+        for write in writer._bus.sync_write.call_args_list
     )
     assert steady_a == [[pytest.approx(drive_n * ONE_N_A, abs=0.004)] * 2] * 2
     assert still_a == [pytest.approx(0.66, abs=0.003)] * 2
@@ -154,14 +157,14 @@ def test_no_more_current_is_written_than_the_force_that_is_asked_for_needs(goal,
 
 def test_fingers_that_press_keep_a_speed_that_goes_by_no_pad() -> None:
     """Pads that stand at 0.6 N would allow 30 mm/s."""
-    guard = GoalGuard(PAIR, LINKAGE)
-    guard.note_force(ForceSample(t_s=0.0, force_n=(0.6, 0.6)))
+    writer = make_writer()
+    writer.note_force(ForceSample(t_s=0.0, force_n=(0.6, 0.6)))
     state = standing(velocity_rad_s=-0.025 / 0.06)
     asked = [ServoGoal(angle_rad=0.05, current_a=0.2, setpoint_n=6.0)] * 2
-    braked = guard.bounded(asked, state)
+    braked = writer.bounded(asked, state)
     assert all(goal.angle_rad >= 0.1 for goal in braked)
     slow = standing(velocity_rad_s=-0.012 / 0.06)
-    assert guard.bounded(asked, slow) == tuple(asked)
+    assert writer.bounded(asked, slow) == tuple(asked)
 
 
 @pytest.mark.parametrize(("friction_sd", "keeps"), [(0.05, True), (0.7, False)])
@@ -172,9 +175,9 @@ def test_known_friction_brakes_a_finger_that_is_slightly_too_fast(
     stiff = replace(usual, breakaway_a=0.4, friction_sd=friction_sd)
     drives = Drives({servo.servo_id: stiff for servo in PAIR.servos})
     settings = replace(PAIR, drives=drives)
-    guard, asked = GoalGuard(settings, LINKAGE), [ServoGoal(angle_rad=0.05, current_a=0.6)] * 2
+    writer, asked = make_writer(settings), [ServoGoal(angle_rad=0.05, current_a=0.6)] * 2
     most_m_s = max(impact_limit(settings, LINKAGE, (0.1, 0.1)).pad_speed_m_s(), 0.5 * SLOWEST_M_S)
-    braked = guard.bounded(asked, standing(velocity_rad_s=-(most_m_s / 0.0597 + 0.2)))
+    braked = writer.bounded(asked, standing(velocity_rad_s=-(most_m_s / 0.0597 + 0.2)))
     if keeps:
         assert all(goal.angle_rad == 0.05 and 0.1 < goal.current_a < 0.4 for goal in braked)
     else:
