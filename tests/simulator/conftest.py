@@ -2,11 +2,14 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
+import canopen
 import pytest
 
 from gripper.dynamixel.control_table import REGISTERS
 from gripper.dynamixel.models import XM430_W350, ServoModel
+from simulator.can.link import CanDevice
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
@@ -18,6 +21,39 @@ from simulator.servo.protocol2 import Instruction, PacketParser, encode_packet
 def encode_instruction(servo_id: int, instruction: int, parameters: bytes = b"") -> bytes:
     """Return the packet of an instruction to a servo."""
     return encode_packet(servo_id, bytes((instruction,)) + parameters)
+
+
+class DeviceLine(canopen.Network):
+    """canopen's network on a simulated device, which answers at once.
+
+    Parameters
+    ----------
+    step_s
+        Time that passes before each message to the device in s.
+    message_s
+        Time that each of its messages takes in s.
+    """
+
+    def __init__(self, device: CanDevice, *, step_s: float = 0.0, message_s: float = 0.0) -> None:
+        super().__init__()
+        self.device, self.step_s, self.message_s = device, step_s, message_s
+        self.now_s = 0.0
+        self.heard: list[tuple[int, bytes]] = []
+        device.send = self._hear
+
+    def _hear(self, ready_s: float, can_id: int, burst: list[bytes]) -> float:
+        for data in burst:
+            self.heard.append((can_id, data))
+            self.notify(can_id, bytearray(data), ready_s)
+        return ready_s + self.message_s * len(burst)
+
+    def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
+        self.wait(self.step_s)
+        self.device.receive(can_id, bytes(data), self.now_s)
+
+    def wait(self, seconds: float) -> None:
+        self.now_s += seconds
+        self.device.advance(self.now_s)
 
 
 FINGERS = partial(FingerMechanics, linkage=ParallelogramLinkage(), aperture_m=0.06)

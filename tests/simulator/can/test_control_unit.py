@@ -8,11 +8,7 @@ import numpy as np
 import pytest
 from canopen.sdo import SdoClient
 
-from simulator.can.control_unit import (
-    EMCY_OVERRUN,
-    EMCY_WINDOW,
-    SimulatedControlUnit,
-)
+from simulator.can.control_unit import EMCY_OVERRUN, EMCY_WINDOW, SimulatedControlUnit
 from simulator.can.faults import ControlUnitFaults
 from simulator.can.messages import BurstFormat
 from simulator.can.scanner import PadForces
@@ -22,13 +18,14 @@ from tactile.frames.transport import FrameAssembler, FrameFormat
 from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 from tactile.sensor.calibration import Calibration, FoamCalibration, LinearCalibration
 from tactile.source import ForceMessage, ForceStatus, FrameStatus, TactileFrame
+from tests.simulator.conftest import DeviceLine
 from tests.tactile.conftest import Skin, counts_of
 
 NMT, SYNC, EMCY, TPDO1, SDO_OUT, SDO_IN, HEARTBEAT = 0, 0x80, 0x85, 0x185, 0x585, 0x605, 0x705
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 
 
-class Line:
+class Line(DeviceLine):
     """A unit on a line on which a message takes 100 us."""
 
     def __init__(self) -> None:
@@ -36,36 +33,21 @@ class Line:
         self.skin = Skin(self.layout)
         self.skin.counts[:] = 3
         self.unit = SimulatedControlUnit(self.skin, self.layout)
-        self.heard: list[tuple[int, bytes]] = []
-        self.now_s = 0.0
-        self.message_s = 100e-6
-        self.unit.send = self._hear
+        super().__init__(self.unit, message_s=100e-6)
         self.client = SdoClient(SDO_IN, SDO_OUT, od.of_node(5))
         self.client.network = self
+        self.subscribe(SDO_OUT, self.client.on_response)
         self.wait(0.05)
         self.take()
 
-    def _hear(self, ready_s: float, can_id: int, messages: list[bytes]) -> float:
-        self.heard.extend((can_id, message) for message in messages)
-        return ready_s + self.message_s * len(messages)
-
-    def wait(self, seconds: float) -> None:
-        self.now_s += seconds
-        self.unit.advance(self.now_s)
-
     def tell(self, can_id: int, data: bytes = b"") -> list[tuple[int, bytes]]:
         """Send a message and return what comes back at once."""
-        self.unit.receive(can_id, data, self.now_s)
+        self.send_message(can_id, data)
         return self.take()
 
     def take(self) -> list[tuple[int, bytes]]:
         heard, self.heard = self.heard, []
         return heard
-
-    def send_message(self, can_id: int, data: bytes) -> None:
-        """Send a message of canopen's client, which gets the answer."""
-        for answer_id, answer in self.tell(can_id, bytes(data)):
-            self.client.on_response(answer_id, answer, self.now_s)
 
     def write(self, index: int, sub: int, value: int | bytes, size: int = 0) -> int:
         """Write an object; returns the abort code, 0 for success."""
@@ -74,10 +56,15 @@ class Line:
             self.client.download(index, sub, data)
         except canopen.SdoAbortedError as refusal:
             return refusal.code
+        finally:
+            self.take()
         return 0
 
     def read(self, index: int, sub: int = 0) -> bytes:
-        return self.client.upload(index, sub)
+        try:
+            return self.client.upload(index, sub)
+        finally:
+            self.take()
 
     def number(self, index: int, sub: int = 0) -> int:
         return int.from_bytes(self.read(index, sub), "little")

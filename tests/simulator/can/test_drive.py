@@ -1,7 +1,5 @@
 """The simulated drive, as canopen's own CiA 402 node and single messages see it."""
 
-from typing import Any
-
 import canopen
 import pytest
 from canopen.profiles.p402 import BaseNode402, State402
@@ -9,6 +7,7 @@ from canopen.profiles.p402 import BaseNode402, State402
 from motion import object_dictionary as od
 from motion.object_dictionary import NEW_SET_POINT, HomingMethod, Status
 from simulator.can.drive import DriveMount, SimulatedDrive
+from tests.simulator.conftest import DeviceLine
 
 NODE = 11
 MOUNT = DriveMount(
@@ -16,34 +15,11 @@ MOUNT = DriveMount(
 )  # 1 increment a µm
 
 
-class StepNetwork(canopen.Network):
-    """canopen's network on a simulated drive: each message takes a ms, and is answered at once."""
-
-    def __init__(self, drive: SimulatedDrive) -> None:
-        super().__init__()
-        self.drive = drive
-        self.now_s = 0.0
-        drive.send = self._from_drive
-        self.let_pass(0.1)
-
-    def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
-        self.let_pass(0.001)
-        self.drive.receive(can_id, bytes(data), self.now_s)
-
-    def let_pass(self, seconds: float) -> None:
-        self.now_s += seconds
-        self.drive.advance(self.now_s)
-
-    def _from_drive(self, t_s: float, can_id: int, burst: list[bytes]) -> float:
-        for data in burst:
-            self.notify(can_id, bytearray(data), t_s)
-        return t_s
-
-
 @pytest.fixture
-def bench() -> StepNetwork:
+def bench() -> DeviceLine:
     """A drive, and canopen's own node of it."""
-    network = StepNetwork(SimulatedDrive(MOUNT))
+    network = DeviceLine(SimulatedDrive(MOUNT), step_s=0.001)
+    network.wait(0.1)
     network.witness = BaseNode402(NODE, str(od.EDS_PATH))
     network.add_node(network.witness)
     network.witness.nmt.state = "OPERATIONAL"
@@ -55,15 +31,15 @@ def test_canopens_own_node_leads_it_through_all_states(bench) -> None:
     assert bench.witness.state == "SWITCH ON DISABLED"
     for state in ("READY TO SWITCH ON", "SWITCHED ON", "OPERATION ENABLED"):
         bench.witness.state = state
-        assert (bench.witness.state, bench.drive.state) == (state, state)
+        assert (bench.witness.state, bench.device.state) == (state, state)
     for state in ("SWITCHED ON", "READY TO SWITCH ON", "SWITCH ON DISABLED"):
         bench.witness.state = state
-        assert bench.drive.state == state
+        assert bench.device.state == state
     bench.witness.state = "OPERATION ENABLED"
     bench.witness.state = "QUICK STOP ACTIVE"
-    assert bench.drive.state == "QUICK STOP ACTIVE"
+    assert bench.device.state == "QUICK STOP ACTIVE"
     bench.witness.state = "SWITCH ON DISABLED"
-    assert bench.drive.state == "SWITCH ON DISABLED"
+    assert bench.device.state == "SWITCH ON DISABLED"
 
 
 def test_canopens_own_node_changes_modes_and_finds_the_home(bench) -> None:
@@ -79,14 +55,14 @@ def test_canopens_own_node_changes_modes_and_finds_the_home(bench) -> None:
     assert bench.witness.homing(timeout=30)
     # The switch lets go at 10 mm, where 7000 is read; braking goes on a little.
     assert bench.witness.sdo["Position actual value"].raw - 7000 == pytest.approx(
-        1e6 * (bench.drive.position - 0.01), abs=15
+        1e6 * (bench.device.position - 0.01), abs=15
     )
 
 
 def test_canopens_own_node_resets_a_fault(bench) -> None:
     bench.witness.state = "OPERATION ENABLED"
-    bench.drive.fail(0x3210)
-    bench.let_pass(0.05)
+    bench.device.fail(0x3210)
+    bench.wait(0.05)
     assert (bench.witness.state, bench.witness.sdo["Error code"].raw) == ("FAULT", 0x3210)
     assert [error.code for error in bench.witness.emcy.log] == [0x3210]
     bench.witness.TIMEOUT_RESET_FAULT = 0.0  # canopen waits here in vain, see its FIXME
@@ -107,8 +83,8 @@ def enabled(witness: BaseNode402) -> canopen.sdo.SdoClient:
 def test_a_set_point_is_taken_at_the_rising_edge_and_acknowledged(bench) -> None:
     sdo = enabled(bench.witness)
     sdo["Target position"].raw = 4000
-    bench.let_pass(0.1)
-    assert not bench.drive.moving  # without the edge nothing moves
+    bench.wait(0.1)
+    assert not bench.device.moving  # without the edge nothing moves
     sdo["Controlword"].raw = NEW_SET_POINT
     assert sdo["Statusword"].raw & Status.ACKNOWLEDGED
     assert not sdo["Statusword"].raw & Status.TARGET_REACHED
@@ -116,7 +92,7 @@ def test_a_set_point_is_taken_at_the_rising_edge_and_acknowledged(bench) -> None
     sdo["Controlword"].raw = NEW_SET_POINT  # no edge: the first target stays
     sdo["Controlword"].raw = State402.CW_OPERATION_ENABLED
     assert not sdo["Statusword"].raw & Status.ACKNOWLEDGED
-    bench.let_pass(1.0)
+    bench.wait(1.0)
     assert sdo["Statusword"].raw & Status.TARGET_REACHED
     assert sdo["Position actual value"].raw == pytest.approx(4000, abs=2)
 
@@ -126,7 +102,7 @@ def test_a_target_beyond_the_software_limit_ends_at_the_limit(bench) -> None:
     sdo["Software position limit"][2].raw = 1500
     sdo["Target position"].raw = 4000
     sdo["Controlword"].raw = NEW_SET_POINT
-    bench.let_pass(1.0)
+    bench.wait(1.0)
     assert sdo["Position actual value"].raw == pytest.approx(1500, abs=2)
 
 
@@ -138,15 +114,15 @@ def test_a_limit_switch_stops_the_axis_and_lets_it_out(bench, switch) -> None:
         sdo["Target position"].raw = target
         sdo["Controlword"].raw = NEW_SET_POINT
         sdo["Controlword"].raw = State402.CW_OPERATION_ENABLED
-        bench.let_pass(2.0)
+        bench.wait(2.0)
 
     go(switch * 20_000)
-    assert abs(bench.drive.position - switch * 0.01) < 1e-3
+    assert abs(bench.device.position - switch * 0.01) < 1e-3
     assert sdo["Statusword"].raw & Status.INTERNAL_LIMIT
     assert not sdo["Statusword"].raw & Status.TARGET_REACHED
     go(0)
     assert sdo["Statusword"].raw & Status.TARGET_REACHED
-    assert bench.drive.position == pytest.approx(2e-3, abs=1e-5)
+    assert bench.device.position == pytest.approx(2e-3, abs=1e-5)
 
 
 @pytest.mark.parametrize("option", [0, od.STOP_WHEN_HOST_IS_LOST])
@@ -155,4 +131,4 @@ def test_a_node_that_is_stopped_on_its_way_brakes_where_6007h_asks_for_it(bench,
     sdo["Abort connection option code"].raw = option
     bench.witness.nmt.send_command(2)
     braked = option == od.STOP_WHEN_HOST_IS_LOST
-    assert (bench.drive.state == "QUICK STOP ACTIVE") is braked
+    assert (bench.device.state == "QUICK STOP ACTIVE") is braked

@@ -172,31 +172,30 @@ def test_a_mesh_as_programs_export_it_is_read(stl, text) -> None:
     assert low[0] + high[0] == pytest.approx(6e-3)
 
 
+def box(*extents: float, at_m: float = 0.0, inside_out: bool = False) -> trimesh.Trimesh:
+    made = trimesh.creation.box(extents=extents)
+    made.apply_translation((at_m, 0.0, 0.0))
+    if inside_out:
+        made.invert()
+    return made
+
+
 @pytest.mark.parametrize(
-    ("size_mm", "text"),
-    [((0.6, 0.4, 0.2), r"0\.6 x 0\.4 x 0\.2"), ((1e5, 5.0, 5.0), r"1e\+05 x 5 x 5")],
+    ("mesh", "says"),
+    [
+        (box(0.6, 0.4, 0.2), r"0\.6 x 0\.4 x 0\.2 mm .* export it in mm"),
+        (box(1e5, 5.0, 5.0), r"1e\+05 x 5 x 5 mm .* export it in mm"),
+        (box(9, 9, 9) + box(8, 8, 8, at_m=30.0), "2 bodies or cavities, but a gripper holds"),
+        (box(9, 9, 9) + box(8, 8, 8, inside_out=True), "2 bodies or cavities, but a gripper"),
+        (trimesh.Trimesh(BOX.vertices, BOX.faces[:-2]), "no closed surface"),
+    ],
 )
-def test_a_mesh_in_another_unit_is_refused_with_its_size(stl, size_mm, text) -> None:
-    path = stl(trimesh.creation.box(extents=size_mm))
-    with pytest.raises(SimulatorSettingsError, match=f"{text} mm .* export it in mm"):
-        load_mesh(path)
+def test_a_mesh_that_is_no_part_is_refused(stl, mesh, says) -> None:
+    with pytest.raises(SimulatorSettingsError, match=says):
+        load_mesh(stl(mesh))
 
 
-@pytest.mark.parametrize("inside", [False, True])
-def test_a_mesh_of_several_bodies_is_refused(stl, inside) -> None:
-    first, second = (trimesh.creation.box(extents=(side,) * 3) for side in (10.0, 8.0))
-    if inside:
-        second.invert()
-    else:
-        second.apply_translation((30.0, 0.0, 0.0))
-    path = stl(trimesh.util.concatenate(first, second))
-    with pytest.raises(SimulatorSettingsError, match="2 bodies or cavities, but a gripper holds"):
-        load_mesh(path)
-
-
-def test_meshes_that_are_no_solid_are_refused(stl) -> None:
-    with pytest.raises(SimulatorSettingsError, match="no closed surface"):
-        load_mesh(stl(trimesh.Trimesh(BOX.vertices, BOX.faces[:-2])))
+def test_a_file_that_is_cut_off_is_refused(stl) -> None:
     path = stl(BOX)
     path.write_bytes(path.read_bytes()[:-7])
     with pytest.raises(SimulatorSettingsError, match=r"no closed surface|cannot be read"):

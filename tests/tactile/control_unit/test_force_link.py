@@ -229,7 +229,8 @@ def test_forces_and_zero_of_exchanged_and_turned_pads_go_both_ways() -> None:
     for mounting in (exchanged, turned):
         place = mounting.zero_order
         sent = encode_zero(9.0, zeros[place], bad[place], PINCH.adc_max)
-        _, values, marked = read_zero(sent, 156, PINCH.adc_max)
+        touch_counts, values, marked = read_zero(sent, 156, PINCH.adc_max)
+        assert touch_counts == pytest.approx(9.0, abs=0.1)
         order = taxel_order(PINCH, EXCHANGED if mounting is exchanged else TURNED)
         assert values[order][~bad] == pytest.approx(zeros[~bad], abs=0.1)
         assert marked[order].tolist() == bad.tolist()

@@ -5,16 +5,11 @@ import struct
 import numpy as np
 import pytest
 
-from simulator.can.messages import BurstFormat, force_bytes, read_zero
+from simulator.can.messages import BurstFormat, force_bytes
 from tactile.control_unit.settings import LinkSettings
 from tactile.control_unit.watch import ForceFlow
 from tactile.errors import FrameError, LayoutError
-from tactile.frames.force_message import (
-    BAD_TAXEL,
-    crc8,
-    decode_force_message,
-    encode_zero,
-)
+from tactile.frames.force_message import crc8, decode_force_message
 from tactile.frames.transport import PHASE_SHIFT, FrameAssembler, FrameFormat
 from tactile.source import ForceMessage, ForceStatus, TactileFrame
 
@@ -147,17 +142,6 @@ def test_a_unit_that_counts_from_zero_again_is_followed_within_ten_messages(
         for n in range(12)
     ]
     assert all(took[9:])
-
-
-def test_the_zero_comes_back_and_names_the_taxels_that_fail() -> None:
-    zero_counts = np.array([0.0, 8.03, 250.0, 17.5])
-    bad = np.array([False, False, True, False])
-    data = encode_zero(3.5, zero_counts, bad, 255)
-    touch_counts, read_counts, read_bad = read_zero(data, 4, 255)
-    assert touch_counts == pytest.approx(3.5, abs=0.003)
-    np.testing.assert_allclose(read_counts[~bad], zero_counts[~bad], atol=0.003)
-    np.testing.assert_array_equal(read_bad, bad)
-    assert int.from_bytes(data[6:8], "little") == BAD_TAXEL
 
 
 # -- The assembler: every kind of damage costs frames, none yields a torn one ----------------------

@@ -10,10 +10,7 @@ import numpy as np
 import pytest
 
 from gripper.values.force_sensor import ForceSample
-from simulator.can.messages import read_table
 from tactile.errors import ForceContradicted
-from tactile.frames.force_message import TABLE_NODES, force_table
-from tactile.sensor.calibration import FoamCalibration
 from tactile.sensor.force_check import ForceCentres, ForceCheck
 from tactile.sensor.grip_force import GripForce
 from tactile.sensor.sensor import TactileSensor
@@ -67,14 +64,6 @@ def tared() -> tuple[TactileSensor, Forces]:
     assert not sensor.has_forces
     sensor.tare()
     return sensor, link
-
-
-def test_the_table_is_that_of_the_calibration_on_both_fingers() -> None:
-    law = FoamCalibration(255, gain=1.5)
-    force_n = law.force_n(np.linspace(0.0, 255.0, TABLE_NODES))
-    np.testing.assert_allclose(
-        read_table(force_table(LAYOUT, law.force_n)), [force_n, force_n], atol=2.6e-4
-    )
 
 
 def test_a_tare_sets_zero_and_noise_of_the_source() -> None:
