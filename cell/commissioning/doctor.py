@@ -135,7 +135,7 @@ def _drives(config: CellConfig, named: str) -> Finding:
             texts.append(f"servo {servo.servo_id}: not measured, catalogue values within 30 %")
             advice = f"`tactile-cell hand zero{named}` measures them, with nothing in the grip"
             continue
-        drive = DriveCharacteristic(**zeros.drives[servo.servo_id]["drive"])
+        drive = DriveCharacteristic.from_stored(zeros.drives[servo.servo_id]["drive"])
         at = datetime.fromtimestamp(drive.measured_s)
         where = "" if drive.temperature_c is None else f" at {drive.temperature_c:.0f} C"
         texts.append(f"{drive_text(servo, drive)}, {at:%Y-%m-%d}{where}")

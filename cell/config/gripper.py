@@ -260,8 +260,6 @@ def measured_drive(path: Path, model: ServoModel) -> DriveCharacteristic:
     if (coulomb := values.get("coulomb_a")) is not None:
         changes |= {"coulomb_a": coulomb, "viscous_a_s": max(0.0, values["viscous_a_s"])}
         changes |= {"breakaway_a": values.get("breakaway_a", coulomb), "friction_sd": _FRICTION_SD}
-    if (back_emf := values.get("back_emf_v_s")) is not None:
-        changes["back_emf_v_s"] = back_emf
     return replace(drive, **changes)
 
 

@@ -211,7 +211,7 @@ class SelfZeros:
         drives = {}
         for servo_id, saved in self.drives.items():
             if saved["servo"] == self._servo(servo_id, homing):
-                drive = DriveCharacteristic(**saved["drive"])
+                drive = DriveCharacteristic.from_stored(saved["drive"])
                 sd = max(drive.friction_sd, _ANOTHER_DAY_SD)
                 drives[servo_id] = replace(drive, friction_sd=sd)
         return drives
@@ -247,7 +247,7 @@ class SelfZeros:
             last = zero and SelfZero.from_values([zero[name] for name in ZERO_COLUMNS])
             drives = {int(name): dict(saved) for name, saved in values["drives"].items()}
             for saved in drives.values():
-                DriveCharacteristic(**saved["drive"])
+                DriveCharacteristic.from_stored(saved["drive"])
             measured_s, self._saved_hand = float(values["measured_s"]), dict(values["hand"])
             date.fromtimestamp(measured_s)
         except CellError as error:

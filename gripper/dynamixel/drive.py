@@ -4,11 +4,11 @@ Two measured lines bound the load that a current holds: the load rises at ``risi
 breakaway_a``, and falls at ``falling_a_nm * load - yielding_share * breakaway_a``, where that is
 above 0 A. Below 0 A the motor helps the load to fall; the load is gone at ``-breakaway_a``. In free
 motion the current is ``offset_a +- friction_a(speed)``. Loads are torques at the output by the
-force of the pads; only ``kt_nm_a`` and ``back_emf_v_s`` do not depend on the pads.
+force of the pads; only ``kt_nm_a`` does not depend on the pads.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from math import exp, hypot, inf, log
 from typing import Any, NamedTuple, Self
@@ -63,8 +63,6 @@ class DriveCharacteristic:
     """Uncertainty of ``falling_a_nm`` and ``yielding_share``."""
     kt_nm_a: float
     """Torque at the output in N m for each A of a rising load, by catalogue or bench."""
-    back_emf_v_s: float | None = None
-    """Voltage in V that the motor makes for each rad/s of the output; None: not measured."""
     temperature_c: float | None = None
     """Temperature of the servo in degrees Celsius; None: not measured."""
     measured_s: float = 0.0
@@ -89,6 +87,11 @@ class DriveCharacteristic:
             load_sd=model.kt_sd,
             kt_nm_a=model.kt_nm_a,
         )
+
+    @classmethod
+    def from_stored(cls, values: Mapping[str, Any]) -> Self:
+        """Rebuild from stored values; those of other versions are left out."""
+        return cls(**{one.name: values[one.name] for one in fields(cls) if one.name in values})
 
     @property
     def measured(self) -> bool:

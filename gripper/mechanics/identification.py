@@ -1,8 +1,7 @@
 """Identification of a servo's drive from its motion: pure functions, without clock and bus.
 
-Free motion gives the friction in A and, with its voltages, the back-EMF. Fingers that press on each
-other give A for each N m: friction locks one, the other one moves slowly. Neither separates the
-motor constant from the gain of the pads.
+Free motion gives the friction in A. Fingers that press on each other give A for each N m: friction
+locks one, the other one moves slowly.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from gripper.dynamixel.drive import SIGMAS, DriveCharacteristic
-from gripper.dynamixel.models import ServoModel
 
 _VISCOUS_SD_S, _OFFSET_SD = 0.15, 0.05
 """Standard deviations before a measurement, as shares of the friction: of the viscous term for 1
@@ -28,9 +26,6 @@ LEAST_FRICTION_SD, _LEAST_LOAD_SD = 0.05, 0.02
 [assumed]"""
 _CHANGE_SD = 0.1
 """Spread of the friction of one servo within a day, as a share: grease that warms. [assumed]"""
-VOLTAGE_SD_V, RESISTANCE_SD = 0.02, 0.15
-"""Error of a voltage in V, and spread of the winding's resistance as a share: 50 K add 20 %.
-[assumed]"""
 _BLOCKS, _LEAST_BLOCKS = 30, 6
 """Parts of the points of a load whose means are taken, and fewest of these in a line. [tuned]"""
 _LOCKED, _ENDS = {True: 0.25, False: 0.15}, 0.05
@@ -44,8 +39,6 @@ gearings that lose up to half of the motor's torque (arXiv 2410.08650). [vendor]
 _SUREST = 0.2
 """Largest uncertainty of a rising slope that counts, as a share: a gearing that sticks gives few
 edges, but no catalogue has its losses. [tuned]"""
-_LEAST_SPAN = 1.5
-"""Least ratio of speeds that separates resistance and back-EMF."""
 _OUTLIER_SIGMAS = 2.5
 """Points farther from a line, in standard deviations, are left out once."""
 
@@ -57,14 +50,6 @@ class FreePoint(NamedTuple):
     current_a: float
     sd_a: float
     """Standard deviation of the mean current in A."""
-    voltage_v: float | None = None
-    """Voltage that the servo has put on its motor; None: unknown."""
-
-    def at_current(self, current_a: float, winding_ohm: float) -> "FreePoint":
-        """Return the same motion with another current, and the voltage that drives it."""
-        more_v = winding_ohm * (current_a - self.current_a)
-        voltage_v = None if self.voltage_v is None else self.voltage_v + more_v
-        return self._replace(current_a=current_a, voltage_v=voltage_v)
 
 
 class LoadPoint(NamedTuple):
@@ -145,26 +130,6 @@ def fit_load(
         yielding_share=min(share, 1.0),
         falling_sd=float(down.sds[0]) / falls,
     )
-
-
-def fit_back_emf(points: Sequence[FreePoint], model: ServoModel) -> float | None:
-    """Return the back-EMF of free motions in V for each rad/s; None where they do not determine it.
-
-    The voltage on the motor is the sum of the winding's, R i, and the back-EMF. R is that of the
-    model, within its uncertainty.
-    """
-    known = [point for point in points if point.voltage_v is not None]
-    speeds = [abs(point.speed_rad_s) for point in known]
-    if len(known) < 3 or max(speeds) < _LEAST_SPAN * min(speeds):
-        return None
-    sd_v = [hypot(VOLTAGE_SD_V, model.winding_ohm * point.sd_a) for point in known]
-    rows = [(point.current_a, point.speed_rad_s, point.voltage_v) for point in known]
-    # The known resistance is a row too.
-    rows.append((1.0, 0.0, model.winding_ohm))
-    sd_v.append(RESISTANCE_SD * model.winding_ohm)
-    whole = np.array(rows, dtype=np.float64) / np.array(sd_v)[:, None]
-    fitted = np.linalg.lstsq(whole[:, :2], whole[:, 2], rcond=None)[0]
-    return float(fitted[1]) if min(fitted) > 0.0 else None
 
 
 def change(point: FreePoint, drive: DriveCharacteristic) -> float:

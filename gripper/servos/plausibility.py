@@ -9,10 +9,10 @@ from math import copysign, hypot, pi
 from typing import NamedTuple
 
 from gripper.dynamixel.drive import SIGMAS
+from gripper.dynamixel.models import ServoModel
 from gripper.errors import FeedbackImplausible, LimitExceeded, PositionContradicted
-from gripper.mechanics.identification import RESISTANCE_SD, VOLTAGE_SD_V
 from gripper.mechanics.kinematics import Linkage
-from gripper.settings import GripperSettings, ServoSettings
+from gripper.settings import GripperSettings
 from gripper.values.state import ServoState
 
 _SPEED_RESERVE = 1.5
@@ -47,26 +47,31 @@ _PAUSE_S = 0.025
 two periods at 100 Hz the motor may have stopped meanwhile. [chosen]"""
 _SUPPLY_SD = 0.05
 """Error of the supply's voltage and of the current by it, as a share, on the 330 size. [assumed]"""
+_VOLTAGE_SD_V, _RESISTANCE_SD = 0.02, 0.15
+"""Error of a voltage in V, and spread of the winding's resistance as a share: 50 K add 20 %.
+[assumed]"""
 _MEASURED_SD = 0.05
-"""Error of a resistance or back-EMF once it was measured, as a share: 13 K. [assumed]"""
+"""Error of a resistance once it was measured, as a share: 13 K. [assumed]"""
 
 
 class MotorTravel:
     """Travel of one servo by voltage and current of its motor, V = R i + k_e w, without encoder.
 
-    R is measured at each rest on a part, k_e with the friction. Before, both have the spread of
-    the model. The current is that of Present Current: one by the duty would follow the voltage.
+    R is measured at each rest on a part; before, it has the spread of the model, as k_e always has.
+    The current is that of Present Current: one by the duty would follow the voltage.
     """
 
-    def __init__(self, settings: GripperSettings, servo: ServoSettings) -> None:
-        self._settings = settings
-        self._servo = servo
+    def __init__(self, model: ServoModel) -> None:
+        self._model = model
+        # k_e in V s/rad, and its largest error as a share.
+        self._back_emf_v_s = model.back_emf_v_s
+        self._back_emf_error = SIGMAS * hypot(model.kt_sd, model.back_emf_sd)
         self._sums: deque[_Sums] = deque()
         self.forget()
 
     def forget(self) -> None:
         """Discard what was measured: the motor may be another one."""
-        self._ohm, self._ohm_sd = self._servo.servo_model.winding_ohm, RESISTANCE_SD
+        self._ohm, self._ohm_sd = self._model.winding_ohm, _RESISTANCE_SD
         self.pause()
 
     def pause(self) -> None:
@@ -79,9 +84,9 @@ class MotorTravel:
         """Return the speed in rad/s that a motor has at least, by its own voltage and current."""
         if current_a is None:
             return 0.0
-        induced_v, (v_s, error) = voltage_v - self._ohm * current_a, self._back_emf
+        induced_v = voltage_v - self._ohm * current_a
         certain_v = max(0.0, abs(induced_v) - self._unknown_v(voltage_v, current_a, 1.0))
-        return copysign(certain_v, induced_v) / ((1.0 + error) * v_s)
+        return copysign(certain_v, induced_v) / ((1.0 + self._back_emf_error) * self._back_emf_v_s)
 
     def push(self, servo: ServoState, now_s: float, *, loaded: bool) -> None:
         """Add the feedback of one period, with whether the pads may hold a part."""
@@ -103,9 +108,11 @@ class MotorTravel:
         old, new = sums[0], sums[-1]
         time_s, volt_s = new.t_s - old.t_s, new.volt_s - old.volt_s
         amp_s, travel_rad = new.amp_s - old.amp_s, new.angle_rad - old.angle_rad
-        model, (v_s, error) = self._servo.servo_model, self._back_emf
+        model, v_s = self._model, self._back_emf_v_s
         off_v_s = abs(volt_s - self._ohm * amp_s - v_s * travel_rad)
-        off_v_s -= error * v_s * abs(travel_rad) + self._unknown_v(volt_s, amp_s, time_s)
+        off_v_s -= self._back_emf_error * v_s * abs(travel_rad) + self._unknown_v(
+            volt_s, amp_s, time_s
+        )
         counts_rad = 2.0 * model.rad_per_pulse
         off_rad = off_v_s / v_s - counts_rad
         if off_rad > 0.0:
@@ -113,28 +120,19 @@ class MotorTravel:
             return
         self.unseen_rad = 0.0
         rests = loaded and time_s >= _COMPARED_S and abs(travel_rad) <= counts_rad
-        sd_v_s = hypot(VOLTAGE_SD_V * time_s, self._supply_sd * volt_s, v_s * counts_rad)
+        sd_v_s = hypot(_VOLTAGE_SD_V * time_s, self._supply_sd * volt_s, v_s * counts_rad)
         if rests and sd_v_s < _MEASURED_SD * self._ohm * abs(amp_s):
-            ohm, off = volt_s / amp_s, SIGMAS * RESISTANCE_SD * model.winding_ohm
+            ohm, off = volt_s / amp_s, SIGMAS * _RESISTANCE_SD * model.winding_ohm
             if abs(ohm - model.winding_ohm) <= off:
                 self._ohm, self._ohm_sd = ohm, _MEASURED_SD
 
     @property
-    def _back_emf(self) -> tuple[float, float]:
-        """k_e in V s/rad, and its largest error as a share."""
-        model = self._servo.servo_model
-        drive = self._settings.drives.of(self._servo.servo_id, self._servo.drive)
-        if drive.back_emf_v_s is not None:
-            return drive.back_emf_v_s, SIGMAS * _MEASURED_SD
-        return model.back_emf_v_s, SIGMAS * hypot(model.kt_sd, model.back_emf_sd)
-
-    @property
     def _supply_sd(self) -> float:
-        return _SUPPLY_SD if self._servo.servo_model.supply_current else 0.0
+        return _SUPPLY_SD if self._model.supply_current else 0.0
 
     def _unknown_v(self, volt_s: float, amp_s: float, time_s: float) -> float:
         ohm_v_s, supply_v_s = self._ohm_sd * self._ohm * amp_s, self._supply_sd * volt_s
-        return SIGMAS * hypot(ohm_v_s, supply_v_s, VOLTAGE_SD_V * time_s)
+        return SIGMAS * hypot(ohm_v_s, supply_v_s, _VOLTAGE_SD_V * time_s)
 
 
 class _Sums(NamedTuple):
@@ -155,7 +153,7 @@ class FeedbackCheck:
         self.strayed: dict[int, str] = {}
         """Servos whose position has leapt or left its range, with the reason. Where their fingers
         are is unknown until they are restarted."""
-        self.motors = {one.servo_id: MotorTravel(settings, one) for one in settings.servos}
+        self.motors = {one.servo_id: MotorTravel(one.servo_model) for one in settings.servos}
         """Travel of each servo by its motor."""
         self.letting_go = False
         """Whether a part is let go, which no contradiction of a position may end."""

@@ -15,7 +15,6 @@ from gripper.force.loop import Action, LoopRunner, Moment
 from gripper.mechanics.identification import (
     FreePoint,
     change,
-    fit_back_emf,
     fit_friction,
     grown,
 )
@@ -155,7 +154,7 @@ class FreeMotion:
         # Temperature changes the friction of all speeds.
         follows = grown(point, drive) if earlier else 1.0
         others = [one for one in points if not _alike(one, point)][1 - _MOST_POINTS :]
-        points[:] = [one.at_current(follows * one.current_a, model.winding_ohm) for one in others]
+        points[:] = [one._replace(current_a=follows * one.current_a) for one in others]
         points.append(point)
         self._priors[servo_id] = prior = prior.with_friction(follows)
         before = replace(drive, **{name: getattr(prior, name) for name in _FRICTION})
@@ -165,8 +164,6 @@ class FreeMotion:
             breakaway_a=fitted.coulomb_a * drive.breakaway_share,
             temperature_c=servo.temperature_c,
         )
-        if (back_emf_v_s := fit_back_emf(points, model)) is not None:
-            fitted = replace(fitted, back_emf_v_s=back_emf_v_s)
         self._settings.drives.put(servo_id, fitted)
         usual_a = DriveCharacteristic.catalogue(model).breakaway_a
         if fitted.breakaway_a > _WORN * usual_a:
@@ -205,7 +202,6 @@ class _Period(NamedTuple):
     now_s: float
     angle_rad: float
     current_a: float
-    voltage_v: float
 
 
 class _Part(NamedTuple):
@@ -239,10 +235,8 @@ class _Run:
 
     def add(self, now_s: float, servo: ServoState) -> None:
         """Add one period."""
-        voltage_v = servo.pwm_share * servo.voltage_v
-        period = _Period(now_s, servo.angle_rad, servo.current_a, voltage_v)
         self._sign = servo.velocity_rad_s
-        self._periods.append(period)
+        self._periods.append(_Period(now_s, servo.angle_rad, servo.current_a))
         while self._periods[0].now_s < now_s - _WINDOW_S - _BEFORE_END_S:
             self._periods.popleft()
 
@@ -294,13 +288,4 @@ class _Run:
             # The servo is driven from outside, or presses on something.
             return None
         sd_a = hypot(spread_a, self._step_a, INERTIA_SD * (whole.current_a - whole_a))
-        moving = FreePoint(
-            speed_rad_s=whole.speed_rad_s,
-            current_a=whole.current_a,
-            sd_a=sd_a,
-            # A current by the duty and the voltage of that duty show no back-EMF.
-            voltage_v=None
-            if self._model.supply_current
-            else fmean(one.voltage_v for one in inner) or None,
-        )
-        return moving.at_current(whole_a, self._model.winding_ohm)
+        return FreePoint(whole.speed_rad_s, whole_a, sd_a)

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from gripper.dynamixel.drive import DriveCharacteristic
-from gripper.dynamixel.models import MODELS, ServoModel
+from gripper.dynamixel.models import MODELS
 from gripper.mechanics.identification import (
     FreePoint,
     LoadPoint,
     change,
-    fit_back_emf,
     fit_friction,
     fit_load,
 )
@@ -169,20 +168,6 @@ def test_too_little_of_a_press_leaves_what_was_known() -> None:
     assert fit_load(rising[:50], [], CATALOGUE) is CATALOGUE, "it has not moved"
 
 
-def voltage_v(model: ServoModel, point: FreePoint, k_e: float) -> FreePoint:
-    resistance_ohm = model.nominal_voltage_v / model.stall_current_a
-    return point._replace(voltage_v=resistance_ohm * point.current_a + k_e * point.speed_rad_s)
-
-
-@pytest.mark.parametrize("factor", [0.7, 1.0, 1.3])
-def test_voltages_of_free_motions_show_the_back_emf(factor: float) -> None:
-    idle_a = MODEL.friction_nm / MODEL.kt_nm_a
-    usual_v = MODEL.nominal_voltage_v * (1.0 - idle_a / MODEL.stall_current_a)
-    k_e = factor * usual_v / MODEL.no_load_rad_s
-    points = [voltage_v(MODEL, one, k_e) for one in free_points(GEARINGS["MX-64"])]
-    assert fit_back_emf(points, MODEL) == pytest.approx(k_e, rel=0.02)
-
-
 def test_pads_and_motor_constant_disagree_beyond_the_spread_of_the_model() -> None:
     assert CATALOGUE.disagreement(MODEL) == 1.0
     for times, disagrees in ((1.3, False), (1.4, True), (0.7, True)):
@@ -193,9 +178,3 @@ def test_pads_and_motor_constant_disagree_beyond_the_spread_of_the_model() -> No
     # The pads may be wrong: the cap goes by what makes more force.
     weak_pads = replace(CATALOGUE, rising_a_nm=1.4 * CATALOGUE.rising_a_nm, load_sd=0.02)
     assert weak_pads.most_torque_nm_a == CATALOGUE.kt_nm_a
-
-
-def test_one_speed_shows_no_back_emf() -> None:
-    points = free_points(GEARINGS["XL330"], speeds=(0.25,))
-    assert fit_back_emf(points, MODEL) is None
-    assert fit_back_emf([voltage_v(MODEL, one, 2.0) for one in points * 2], MODEL) is None

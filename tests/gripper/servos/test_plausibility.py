@@ -56,8 +56,7 @@ def pushed(motor: MotorTravel, servos: Iterator[ServoState], from_s: float = 0.0
 
 @pytest.fixture
 def motor() -> MotorTravel:
-    settings = GripperSettings()
-    return MotorTravel(settings, settings.servos[0])
+    return MotorTravel(MODEL)
 
 
 @pytest.mark.parametrize("seed", range(4))
