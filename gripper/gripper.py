@@ -112,7 +112,7 @@ class Gripper:
         self._servos = servos = Servos(bus, linkage, settings, clock)
         self._sensor = force_sensor or ForceByCurrent(servos, linkage, settings)
         self._runner = runner = LoopRunner(servos, self._sensor, settings, clock)
-        self._life = Lifecycle(servos, runner, settings)
+        self._life = Lifecycle(runner)
         self._free = FreeMotion(settings)
         self._grasping = GraspRun(runner, linkage, settings, self._life.set_phase, self._free)
         self._link_checked = self._watchdog_proven = False
@@ -272,12 +272,12 @@ class Gripper:
             )
         with self._life.command("open", observer):
             was_limp = self._make_ready()
-            if was_limp and self._servos.feedback.off_by_turns:
+            if was_limp and any(self._servos.feedback.turns.values()):
                 standing = StandStill(self.settings, self._servos.read_patiently())
                 self._runner.run(standing.step, needs_force=False)
             state = self._move_to(target_m, first=was_limp)
             if self.settings.watchdog_self_test and not self._watchdog_proven:
-                prove_watchdog(self._servos, self._linkage, self.settings, self._clock)
+                prove_watchdog(self._servos, self._clock)
                 self._watchdog_proven = True
                 state = self._move_to(target_m)
         return state
@@ -618,17 +618,14 @@ class Gripper:
         """
         if self._life.phase is GripperPhase.OFF or self._life.motion_unconfirmed:
             return
-        try:
+        # Without a bus nothing can be changed; the grip stays as it is.
+        with suppress(GripperError):
             if self._life.phase is GripperPhase.IDLE and self._life.fault is None:
                 self._servos.switch_off()
+                self._life.phase = GripperPhase.OFF
             else:
                 self._freeze_carried()
                 self._servos.disarm_watchdog()
-        except GripperError:
-            # Without a bus nothing can be changed; the grip stays as it is.
-            return
-        if self._life.phase is GripperPhase.IDLE and self._life.fault is None:
-            self._life.phase = GripperPhase.OFF
 
     def _close(
         self,
@@ -655,14 +652,15 @@ class Gripper:
 
     def _freeze_carried(self) -> None:
         """Freeze the goals of a part whose force, or whose heat, is not watched from now on."""
-        if self._carried is None and self._servos.heats and self._life.fault is None:
+        carried, self._carried = self._carried, None
+        if self._life.fault is not None:
+            return
+        if carried is not None:
+            self._servos.freeze()
+        elif self._servos.heats:
             # The feedback may be old.
             with suppress(BusTimeout, BusCorrupt):
                 self._servos.read_patiently()
-                self._servos.freeze()
-        if self._carried is not None:
-            self._carried = None
-            if self._life.fault is None:
                 self._servos.freeze()
 
     def _held_control(self, command: str) -> GripControl:
@@ -711,12 +709,11 @@ class Gripper:
 
     def _open_one(self, left: ServoCondition, observer: Observer | None) -> ReleaseReport:
         """Open one finger alone; do not touch the servo of the other one."""
-        (servo_id,) = (servo_id for servo_id in self._ids if servo_id != left.servo_id)
-        index = self._ids.index(servo_id)
+        (servo,) = (one for one in self.settings.servos if one.servo_id != left.servo_id)
         self._one = one = Gripper(
             self.bus,
             self._linkage.of_one_finger(),
-            replace(self.settings, servos=(self.settings.servos[index],)),
+            replace(self.settings, servos=(servo,)),
             clock=self._clock,
             force_sensor=self._sensor,
         )
@@ -731,7 +728,7 @@ class Gripper:
             self._one, self._life.running = None, False
             self._life.take_over(one._life)
         self._life.switched_off()
-        return ReleaseReport(state=state, opened=(servo_id,), left=(left,))
+        return ReleaseReport(state=state, opened=(servo.servo_id,), left=(left,))
 
     def _not_able(self) -> list[ServoCondition]:
         """Return the servos that cannot be moved; raises if no servo can be moved."""

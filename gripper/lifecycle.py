@@ -20,8 +20,6 @@ from gripper.errors import (
     note_fingers,
 )
 from gripper.force.loop import LoopRunner
-from gripper.servos.group import Servos
-from gripper.settings import GripperSettings
 from gripper.values.state import GripperPhase, Observer, shows_nothing
 
 _DOING = {
@@ -88,7 +86,7 @@ def bus_is_lost(error: BaseException | None) -> bool:
 class Lifecycle:
     """Phase of the gripper, whether a part may be held, and the latched fault."""
 
-    def __init__(self, servos: Servos, runner: LoopRunner, settings: GripperSettings) -> None:
+    def __init__(self, runner: LoopRunner) -> None:
         self.part_possible = False
         """True from the start of an approach until the end of a release, or until nothing is found.
         """
@@ -100,9 +98,8 @@ class Lifecycle:
         """True while a command runs."""
         self.motion_unconfirmed = False
         """True after a fault in a motion that only a servo's bus watchdog ends."""
-        self._servos = servos
-        self._settings = settings
         self._runner = runner
+        self._servos = runner.servos
 
     @property
     def phase(self) -> GripperPhase:
@@ -220,7 +217,7 @@ class Lifecycle:
         if not self.part_possible:
             # Without a grasp it is unknown whether something is between the fingers.
             empty = shows_nothing(
-                state, self._servos.fresh_force, self._settings.contact_force_n
+                state, self._servos.fresh_force, self._servos.settings.contact_force_n
             ) and not isinstance(error, FeedbackImplausible)
             part = "nothing is held" if empty else "no part was gripped"
         elif phase is GripperPhase.RELEASING:

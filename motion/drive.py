@@ -175,7 +175,7 @@ class Cia402Drive(Axis):
         self._nmt_state = _OPERATIONAL
         self._surplus = 0
         self._supervised = False
-        self._target: int | None = None
+        self._target = 0
         bus.subscribe(self._client.tx_cobid, self._client.on_response)
         bus.subscribe(od.COB_HEARTBEAT + node_id, self._on_heartbeat)
 
@@ -271,10 +271,9 @@ class Cia402Drive(Axis):
         switch.
         """
         status = self._enabled_status()
-        if self._target is None or not status & Status.TARGET_REACHED:
-            return False
         window = self.settings.counts(self.settings.window)
-        return abs(self.read_increments() - self._target) <= window
+        reached = bool(status & Status.TARGET_REACHED)
+        return reached and abs(self.read_increments() - self._target) <= window
 
     def rest(self) -> None:
         """End the drive's supervision of the host's heartbeat."""
@@ -286,7 +285,6 @@ class Cia402Drive(Axis):
 
     def stop(self) -> None:
         """Send a quick stop without a wait; a silent drive may still receive it."""
-        self._target = None
         if self._nmt_state == _STOPPED:
             self._command("PRE-OPERATIONAL")  # else it receives no SDO
         self._bus.send_message(self._client.rx_cobid, _QUICK_STOP_REQUEST)

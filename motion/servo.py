@@ -62,7 +62,7 @@ class ServoAxis(Axis):
         self._id = settings.servo_id
         self._loss_s = settings.loss_s
         self._turn = 0
-        self._target: int | None = None
+        self._target = 0
         self._stalled_since_s: float | None = None
 
     def identify(self) -> str:
@@ -115,7 +115,6 @@ class ServoAxis(Axis):
             )
         self._write(ct.GOAL_POSITION, at)
         self._write(ct.TORQUE_ENABLE, 1)
-        self._target = None
 
     def clear_fault(self, *, reboot: bool) -> None:
         """Restart a servo at fault, only with ``reboot``: it loses its torque until its next use.
@@ -157,8 +156,6 @@ class ServoAxis(Axis):
         """
         self._check()
         values = self._feedback()
-        if self._target is None:
-            return False
         self._check_load(values)
         window = self.settings.counts(self.settings.window)
         near = abs(self._axis(values["present_position"]) - self._target) <= window
@@ -177,7 +174,6 @@ class ServoAxis(Axis):
         """Stop the servo at its position; with an implausible reading its torque goes off."""
         # Other axes wait for their stop meanwhile.
         self._loss_s = 0.0
-        self._target = None
         self._write(ct.BUS_WATCHDOG, 0)
         try:
             at = round(self.position * self.settings.increments)

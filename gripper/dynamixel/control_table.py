@@ -77,9 +77,7 @@ class Register:
             ) from error
 
     def decode(self, data: bytes) -> int:
-        """Return the raw value, sign-extended; LimitExceeded when the length is wrong."""
-        if len(data) != self.size:
-            raise LimitExceeded(f"{self.name} has {self.size} bytes, got {len(data)}")
+        """Return the raw value of as many bytes as the item has, sign-extended."""
         return int.from_bytes(data, "little", signed=self.signed)
 
 
@@ -189,9 +187,7 @@ class RegisterBlock:
         return cls(*(r for r in REGISTERS.values() if first.address <= r.address <= last.address))
 
     def decode(self, data: bytes) -> dict[str, int]:
-        """Return the raw values by name; LimitExceeded when the length is wrong."""
-        if len(data) != self.size:
-            raise LimitExceeded(f"{self} have {self.size} bytes, got {len(data)}")
+        """Return the raw values by name, of as many bytes as the block has."""
         return dict(zip(self._names, self._layout.unpack(data), strict=True))
 
     def encode(self, raws: Sequence[int]) -> bytes:

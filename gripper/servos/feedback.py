@@ -70,18 +70,14 @@ class Feedback:
         self._clock = clock
         self._check_torque = check_torque
         self._ids = [servo.servo_id for servo in settings.servos]
-        self._turns: dict[int, int] = {}
+        self.turns: dict[int, int] = {}
+        """Turns of each servo's count off that of its zero; empty before the first reading."""
         self._ticks = {servo_id: TickClock(servo_id) for servo_id in self._ids}
         self._heats = {one.servo_id: WindingHeat(one.servo_model) for one in settings.servos}
         self._supplies = {one.servo_id: Supply() for one in settings.servos}
         self._motions = {one.servo_id: ServoMotion(one.servo_model) for one in settings.servos}
         self.check = FeedbackCheck(settings, linkage)
         """Comparison with possible motion."""
-
-    @property
-    def off_by_turns(self) -> bool:
-        """Whether a servo counts in another turn than its zero; False without a reading."""
-        return any(self._turns.values())
 
     def read(self, *, under_torque: bool, loaded: bool) -> ServoFeedback:
         """Read the feedback of all servos in one transaction.
@@ -111,7 +107,7 @@ class Feedback:
                     self._bus.expect_late_answer()
                 raise problem
         if not under_torque:
-            self._turns.clear()
+            self.turns.clear()
         servos = tuple(
             [
                 self._servo_state(one, raws[one.servo_id], now_s, under_torque=under_torque)
@@ -125,7 +121,7 @@ class Feedback:
 
     def forget(self) -> None:
         """Compare the next feedback with no earlier one: servos were restarted or switched off."""
-        self._turns.clear()
+        self.turns.clear()
         for servo_id in self._ids:
             self._ticks[servo_id].forget()
             self._motions[servo_id].forget()
@@ -136,7 +132,7 @@ class Feedback:
     ) -> ServoState:
         model, position_raw = servo.servo_model, raw[PRESENT_POSITION.name]
         # Under torque a servo cannot lose or gain a turn: a change is an error and must be found.
-        turns = self._turns.setdefault(servo.servo_id, servo.turns(position_raw))
+        turns = self.turns.setdefault(servo.servo_id, servo.turns(position_raw))
         angle_rad = servo.angle_rad(position_raw, turns)
         tick_ms = raw[REALTIME_TICK.name]
         motion = self._motions[servo.servo_id]

@@ -53,12 +53,9 @@ from gripper.values.servo_checks import (
 )
 from gripper.values.state import ServoFeedback, ServoState
 
-_PATIENT_READS = 3
-"""Readings between commands until a lost answer is an error."""
-_GOAL_TRIES = 3
-"""Writes of the first goals until a servo counts as not accepting them."""
-_STOP_TRIES = 3
-"""Writes of the goals that stop a motion until a servo counts as not obeying."""
+_TRIES = 3
+"""Readings until a servo counts as silent, and writes of goals until it counts as not obeying: one
+lost answer is not enough."""
 _STALE_PERIODS = 2.0
 """Age of the feedback, in periods, above which moving fingers are read again before a stop."""
 _FARTHEST_GOAL_RAD = 1.0
@@ -75,8 +72,6 @@ _FACTORY_ID = 1
 """ID of a new servo."""
 _CHECKS = 3
 """Checks of each servo in turn: torque, a register of the start, bus watchdog."""
-_CONDITION_TRIES = 3
-"""Readings of a servo's condition until it counts as silent: one lost answer is not enough."""
 
 
 class Servos:
@@ -113,7 +108,7 @@ class Servos:
 
     def read_patiently(self) -> ServoFeedback:
         """Read as `read` does, again where an answer was lost or old; for use between commands."""
-        for _ in range(_PATIENT_READS - 1):
+        for _ in range(_TRIES - 1):
             with suppress(BusTimeout, BusCorrupt):
                 return self.read()
         return self.read()
@@ -195,7 +190,7 @@ class Servos:
             with suppress(GripperError):
                 self.read()
         unconfirmed: list[int] = []
-        for _ in range(_STOP_TRIES):
+        for _ in range(_TRIES):
             try:
                 self.hold_position(share)
             except GripperError:
@@ -269,9 +264,8 @@ class Servos:
         failed: GripperError | None = None
         for servo_id in (servo_id for servo_id in self._ids if servo_id not in but):
             try:
-                if keep_trips and self._bus.read(servo_id, BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW:
-                    continue
-                self._bus.write(servo_id, BUS_WATCHDOG, 0)
+                if not (keep_trips and self.has_tripped(servo_id)):
+                    self._bus.write(servo_id, BUS_WATCHDOG, 0)
             except GripperError as error:
                 failed = failed or error
         if failed is not None:
@@ -329,15 +323,14 @@ class Servos:
 
     def _condition(self, servo_id: int) -> ServoCondition:
         strayed = self.feedback.check.strayed.get(servo_id, "")
-        for _ in range(_CONDITION_TRIES):
+        silent = ServoCondition(servo_id=servo_id, answers=False, strayed=strayed)
+        for _ in range(_TRIES):
             try:
                 torque_on = self._bus.read(servo_id, TORQUE_ENABLE) != 0
                 bits = self._bus.read(servo_id, HARDWARE_ERROR_STATUS)
                 shutdown_bits = self._bus.read(servo_id, SHUTDOWN) if bits else 0
             except AnswersOff:
-                return ServoCondition(
-                    servo_id=servo_id, answers=False, answers_off=True, strayed=strayed
-                )
+                return replace(silent, answers_off=True)
             except (BusTimeout, BusCorrupt):
                 continue
             return ServoCondition(
@@ -347,7 +340,7 @@ class Servos:
                 shut_down=not torque_on and bits & shutdown_bits != 0,
                 strayed=strayed,
             )
-        return ServoCondition(servo_id=servo_id, answers=False, strayed=strayed)
+        return silent
 
     def require_present(self) -> None:
         """Ping every servo. Raises ServoMissing, which names the IDs that answer instead."""
@@ -487,7 +480,7 @@ class Servos:
                 self._check_hardware(self._ids[index])
         elif check == 1:
             self._check_register(index, n_rounds)
-        elif watchdog and self._bus.read(self._ids[index], BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW:
+        elif watchdog and self.has_tripped(self._ids[index]):
             raise ServoFault(
                 self._ids[index],
                 "its bus watchdog has tripped because the loop fell silent; the servo has "
@@ -544,11 +537,9 @@ class Servos:
                 torque_lost=True,
             )
 
-    def watchdogs_tripped(self) -> frozenset[int]:
-        """Read the bus watchdogs (register 98); return the IDs of the servos with a tripped one."""
-        return frozenset(
-            i for i in self._ids if self._bus.read(i, BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW
-        )
+    def has_tripped(self, servo_id: int) -> bool:
+        """Read the bus watchdog of a servo (register 98); return whether it has tripped."""
+        return self._bus.read(servo_id, BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW
 
     # Parts
 
@@ -606,7 +597,7 @@ class Servos:
         After its watchdog was cleared, a servo stands until the next write of any goal. Then it
         follows all its goals, also old ones: position and current come first, in one write.
         """
-        for _ in range(_GOAL_TRIES):
+        for _ in range(_TRIES):
             state = self.read_patiently()
             for servo, settings in zip(state.servos, self._settings.servos, strict=True):
                 self._check_goal_is_near(servo, settings.servo_model)
@@ -650,7 +641,7 @@ class Servos:
             wanted_raw = self.feedback.last.servos[self._ids.index(servo_id)].position_raw
             if self._bus.read(servo_id, GOAL_POSITION) == wanted_raw:
                 return True
-            if self._bus.read(servo_id, BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW:
+            if self.has_tripped(servo_id):
                 self._bus.write(servo_id, BUS_WATCHDOG, 0)
         return False
 

@@ -43,9 +43,7 @@ _LONGEST_RAD = 0.2
 """Longest way in rad of the test motion: 12 mm of a finger with links of 60 mm."""
 
 
-def prove_watchdog(
-    servos: Servos, linkage: Linkage, settings: GripperSettings, clock: Clock
-) -> None:
+def prove_watchdog(servos: Servos, clock: Clock) -> None:
     """Let the watchdog trip during a slow motion of the empty, open fingers.
 
     The torque is on and the watchdog armed before and after it. The motion is a profile of 0.1
@@ -53,7 +51,7 @@ def prove_watchdog(
     ``watchdog_s``. Raises WatchdogUnproven when a servo did not stop, did not trip or did not move.
     Raises LimitExceeded as `proof_travel_m` does.
     """
-    begin = servos.read()
+    settings, linkage, begin = servos.settings, servos.linkage, servos.read()
     speed_rad_s, goals_rad = _motion(settings, linkage, begin.angles_rad)
     paths = transmissions(settings, linkage, begin.angles_rad)
     # A servo that was never measured may have several times the friction of its model.
@@ -77,21 +75,21 @@ def prove_watchdog(
     stopped = servos.read()
     clock.sleep(_REST_RAD / speed_rad_s)
     later = servos.read()
-    tripped = servos.watchdogs_tripped()
+    tripped = [servos.has_tripped(servo.servo_id) for servo in settings.servos]
     servos.restart_watchdog(max(currents_a))
     farthest_rad = _FARTHEST_SHARE * speed_rad_s * settings.watchdog_s
     unproven = []
     for index, servo in enumerate(settings.servos):
-        has_tripped, pulse_rad = servo.servo_id in tripped, servo.servo_model.rad_per_pulse
+        pulse_rad = servo.servo_model.rad_per_pulse
         moved = _pulses(before, stopped, index)
         farthest = round(farthest_rad / pulse_rad) + _FARTHEST_MORE_PULSES
         after = _pulses(stopped, later, index)
         left = round((later.servos[index].angle_rad - goals_rad[index]) / pulse_rad)
         stood = left >= _LEAST_PULSES and after <= _STILL_PULSES
-        if not (has_tripped and _LEAST_PULSES <= moved <= farthest and stood):
+        if not (tripped[index] and _LEAST_PULSES <= moved <= farthest and stood):
             unproven.append(
                 f"servo {servo.servo_id}: register 98 "
-                f"{'tripped' if has_tripped else 'did not trip'}, {moved} pulses in the silence "
+                f"{'tripped' if tripped[index] else 'did not trip'}, {moved} pulses in the silence "
                 f"({_LEAST_PULSES} to {farthest} expected), {after} after it, {left} short of its "
                 f"goal"
             )
