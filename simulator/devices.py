@@ -63,7 +63,7 @@ class CellDevices:
         self.servo_bus = ServoBusDevice(servos, settings.servo_baud_rate, faults.servo_wire)
         if settings.mounts:
             order = taxel_order(settings.layout, settings.mounts)
-            faults.unit.mounted["mounts"] = np.argsort(order)
+            faults.unit.mounted = np.argsort(order)
         self.unit = SimulatedControlUnit(
             self.world, settings.layout, settings.unit, faults=faults.unit, start_s=start_s
         )

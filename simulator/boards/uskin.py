@@ -30,26 +30,28 @@ class UskinBoard:
     taxel_ids: tuple[int, ...]
 
 
+_COUNTS_PER_N = 3000.0
+"""Counts of z of a taxel for a small force. [assumed, as the further figures]"""
+_LIMIT_N = 12.0
+"""Force in N at which the silicone is compressed to its base."""
+_CROSSTALK = 0.12
+"""Share of a taxel's force that each neighbour also measures."""
+_HYSTERESIS = 0.06
+"""Share by which a taxel stays above a falling force."""
+_NOISE_COUNTS = 12.0
+"""Standard deviation of the noise."""
+_DRIFT_COUNTS_S = 5.0
+"""Drift of z of a pad: 1,000 counts in some minutes."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UskinSettings(SimulatedBoards):
-    """Two boards on one bus, and the physics of their pads; all values are assumptions."""
+    """Two boards on one bus."""
 
     boards: tuple[UskinBoard, UskinBoard]
     """The boards of finger 0 and finger 1."""
     falling: bool = False
     """Whether z falls under a force."""
-    counts_per_n: float = 3000.0
-    """Counts of z of a taxel for a small force."""
-    limit_n: float = 12.0
-    """Force in N at which the silicone is compressed to its base."""
-    crosstalk: float = 0.12
-    """Share of a taxel's force that each neighbour also measures."""
-    hysteresis: float = 0.06
-    """Share by which a taxel stays above a falling force."""
-    noise_counts: float = 12.0
-    """Standard deviation of the noise."""
-    drift_counts_s: float = 5.0
-    """Drift of z of a pad: 1,000 counts in some minutes."""
 
     def can_device(self, site: BoardSite) -> "SimulatedUskin":
         """Return both boards."""
@@ -66,7 +68,7 @@ class SimulatedUskin:
         self.send: SendBurst
         """Sends messages; see `simulator.can.link.CanDevice`."""
         self._due_s = [inf, inf]
-        self._drift = self._rng.uniform(0.5, 1.5, 2) * settings.drift_counts_s
+        self._drift = self._rng.uniform(0.5, 1.5, 2) * _DRIFT_COUNTS_S
         self._drifted = np.zeros(site.layout.n_taxels)
         self._rest = _REST[2] + self._rng.normal(0.0, _SPREAD_COUNTS, site.layout.n_taxels)
         self._lagging_n = np.zeros(site.layout.n_taxels)
@@ -101,26 +103,25 @@ class SimulatedUskin:
         taxels = self._layout.taxels_of(self._layout.gripping_pads[finger])
         for _ in range(2 if finger in self._faults.doubled else 1):
             z = self._scan(finger)[taxels]
-            shear = np.rint(_REST[0] + self._rng.normal(0.0, 12.0, (len(z), 2)))
+            shear = np.rint(_REST[0] + self._rng.normal(0.0, _NOISE_COUNTS, (len(z), 2)))
             ids = self._settings.boards[finger].taxel_ids
             for can_id, (x, y), sample in zip(ids, shear.tolist(), z.tolist(), strict=True):
                 self.send(now_s, can_id, [struct.pack(">BHHH", 0, int(x), int(y), sample)])
 
     def _scan(self, finger: int) -> NDArray[np.uint16]:
         """Return z of all taxels (n_taxels,); each scan advances the drift of its board."""
-        law, pad = self._settings, self._layout.gripping_pads[finger]
-        taxels = self._layout.taxels_of(pad)
+        taxels = self._layout.taxels_of(self._layout.gripping_pads[finger])
         self._drifted[taxels] += (self._drift[finger] + self._faults.drift_counts_s) * _PERIOD_S
         force_n = self._world.measured_force_n()
-        self._lagging_n = np.clip(self._lagging_n, force_n, (1.0 + law.hysteresis) * force_n)
-        compressed_n = law.limit_n * np.tanh(self._lagging_n / law.limit_n)
+        self._lagging_n = np.clip(self._lagging_n, force_n, (1.0 + _HYSTERESIS) * force_n)
+        compressed_n = _LIMIT_N * np.tanh(self._lagging_n / _LIMIT_N)
         for number in range(self._layout.n_pads):
             taxels = self._layout.taxels_of(number)
             matrix = compressed_n[taxels].reshape(self._layout.pad_shape[number])
             neighbours = ndimage.convolve(matrix, _NEIGHBOURS, mode="constant")
-            compressed_n[taxels] = (matrix + law.crosstalk * neighbours).ravel()
-        pull = law.counts_per_n * compressed_n
-        z = self._rest + self._drifted + (-pull if law.falling else pull)
-        z += self._rng.normal(0.0, law.noise_counts, z.shape)
+            compressed_n[taxels] = (matrix + _CROSSTALK * neighbours).ravel()
+        pull = _COUNTS_PER_N * compressed_n
+        z = self._rest + self._drifted + (-pull if self._settings.falling else pull)
+        z += self._rng.normal(0.0, _NOISE_COUNTS, z.shape)
         counts = np.clip(np.rint(z), 0, 0xFFFF).astype(np.uint16)
         return self._taxel_faults.apply(counts, 0xFFFF)

@@ -108,9 +108,9 @@ class ControlUnitFaults:
         off=1.0,
     )
     """Applied before the offset."""
-    mounted: dict[str, NDArray[np.int64]] = field(default_factory=dict)
-    """Orders of the taxels (n_taxels,) by name, for pads mounted differently from the layout. Each
-    element is the taxel whose sample is sent at that place."""
+    mounted: NDArray[np.int64] | None = None
+    """(n_taxels,) int64: taxel whose sample is sent at each place, for pads mounted differently
+    from the layout."""
     pads_swapped: bool = knob(
         "unit.pads_swapped", "the pads of the two fingers are exchanged at the unit"
     )
@@ -151,8 +151,8 @@ class ControlUnitFaults:
 
     def apply(self, counts: NDArray[np.uint16], adc_max: int) -> NDArray[np.uint16]:
         """Return counts (n_taxels,) with these faults; IndexError for an invalid taxel index."""
-        for order in self.mounted.values():
-            counts = counts[order]
+        if self.mounted is not None:
+            counts = counts[self.mounted]
         if self.pads_swapped:
             counts = np.roll(counts, counts.size // 2)
         if self.offset_counts or self.gain != 1.0:

@@ -128,7 +128,7 @@ class ServoBusDevice:
             return
         hearing = [servo for servo in self.servos if self._listens(servo, now_s)]
         for servo in hearing if packet.intact else ():
-            servo.feed(now_s)
+            servo.fed_s = now_s
         if packet.packet_id != BROADCAST_ID:
             same_id = [servo for servo in hearing if servo.servo_id == packet.packet_id]
             self._let_answer(same_id, packet, now_s)

@@ -138,8 +138,9 @@ class SimulatedServo:
         self.reported_offset_raw = 0
         """Fault: counts added to the reported position; the control loop of the servo does not use
         them."""
+        self.fed_s = 0.0
+        """Time in s of the last instruction packet on the bus, for the watchdog."""
         self._turn_offset = 0
-        self._fed_s = 0.0
         self._watchdog_s = math.inf
         self._stopped = False  # by the watchdog, until the next goal
         self._booted_s = 0.0
@@ -180,7 +181,7 @@ class SimulatedServo:
         self.registers.load_ram()
         self.silent_until_s = now_s + blackout_s
         self._booted_s = now_s
-        self._fed_s = now_s
+        self.fed_s = now_s
         self._watchdog_s = math.inf
         self._stopped = False
         self.plant.load_excess_s = 0.0
@@ -284,18 +285,14 @@ class SimulatedServo:
     def set_watchdog(self, raw: int, now_s: float) -> None:
         """Arm, disarm or clear the bus watchdog; a stopped motor waits for the next goal."""
         self._watchdog_s = raw * ct.WATCHDOG_UNIT_S if raw > 0 else math.inf
-        self._fed_s = now_s
-
-    def feed(self, now_s: float) -> None:
-        """Restart the watchdog time: an instruction packet was on the bus."""
-        self._fed_s = now_s
+        self.fed_s = now_s
 
     def supervise(self, now_s: float) -> None:
         """Run watchdog and protections; call it at least once for each motor step."""
         data = self.registers.data
         if data[_TORQUE] == 0:
-            self._fed_s = now_s
-        elif now_s - self._fed_s > self._watchdog_s:
+            self.fed_s = now_s
+        elif now_s - self.fed_s > self._watchdog_s:
             self._trip()
         plant = self.plant
         bits = self.injected_error

@@ -10,8 +10,8 @@ import flexitac
 import numpy as np
 import pytest
 
+from simulator.boards import resistive
 from simulator.boards.flexitac import FlexiTacSettings
-from simulator.boards.resistive import ResistiveLaw, ResistivePads
 from simulator.can.faults import ControlUnitFaults
 from simulator.cell import SimulatedCell
 from simulator.clock import VirtualClock
@@ -77,13 +77,15 @@ def world() -> Any:
     return SimpleNamespace(force_n=force_n, measured_force_n=lambda: force_n)
 
 
-def pads(world: Any, **law: Any) -> ResistivePads:
-    quiet = ResistiveLaw(noise_counts=0.0, rest_counts=(80.0, 80.0), **law)
-    return ResistivePads(world, LAYOUT, ControlUnitFaults(), law=quiet)
+@pytest.fixture
+def board(world: Any, monkeypatch: pytest.MonkeyPatch) -> resistive.ResistivePads:
+    """Pads without noise that read 80 of 1,023 at rest."""
+    monkeypatch.setattr(resistive, "_NOISE_COUNTS", 0.0)
+    monkeypatch.setattr(resistive, "_REST_COUNTS", (80.0, 80.0))
+    return resistive.ResistivePads(world, LAYOUT, ControlUnitFaults())
 
 
-def test_a_press_shows_in_its_row_and_column_as_well(world) -> None:
-    board = pads(world)
+def test_a_press_shows_in_its_row_and_column_as_well(world, board) -> None:
     world.force_n[5 * 12 + 3] = 3.0
     change = board.scan()[:384].reshape(32, 12).astype(int) - 20
     assert change[5, 3] == change.max() > 100
@@ -92,8 +94,10 @@ def test_a_press_shows_in_its_row_and_column_as_well(world) -> None:
     assert change[20, 9] == 0
 
 
-def test_the_law_is_compressive_and_a_falling_force_shows_more_than_a_rising_one(world) -> None:
-    board, counts = pads(world), []
+def test_the_law_is_compressive_and_a_falling_force_shows_more_than_a_rising_one(
+    world, board
+) -> None:
+    counts = []
     for force_n in (1.0, 2.0, 4.0, 1.0, 0.0, 40.0):
         world.force_n[100] = force_n
         counts.append(int(board.scan()[100]) - 20)
