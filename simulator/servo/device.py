@@ -18,12 +18,7 @@ from gripper.dynamixel.models import OperatingMode, ServoModel
 from gripper.values.servo_checks import HardwareError
 from simulator.servo.control_table import Item, ServoRegisters, is_x330
 from simulator.servo.gearing import data_sheet
-from simulator.servo.motor import (
-    FOLLOWS_POSITION,
-    OVERLOAD_BUDGET_S,
-    DriveCommand,
-    ServoMotor,
-)
+from simulator.servo.motor import FOLLOWS_POSITION, OVERLOAD_BUDGET_S, DriveCommand, ServoMotor
 from simulator.servo.protocol2 import ALERT, Instruction, StatusError
 
 BAUD_RATES = (

@@ -11,21 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.clock import Clock
-from tactile.errors import (
-    CalibrationError,
-    ForceContradicted,
-    FrameTimeout,
-    ZeroDrifted,
-)
+from tactile.errors import CalibrationError, ForceContradicted, FrameTimeout, ZeroDrifted
 from tactile.layout import TaxelLayout
 from tactile.sensor.calibration import Calibration
-from tactile.sensor.filters import (
-    ActiveTaxels,
-    Neighbourhood,
-    Values,
-    fill_bad,
-    typical_noise,
-)
+from tactile.sensor.filters import ActiveTaxels, Neighbourhood, Values, fill_bad, typical_noise
 from tactile.sensor.force_check import ForceCentres, ForceCheck
 from tactile.sensor.quality import QualityWatch
 from tactile.sensor.settings import SensorSettings

@@ -70,11 +70,6 @@ def test_the_current_loop_settles_within_a_few_ms(motor):
     assert motor.current_a == pytest.approx(1.0, abs=0.02)
 
 
-def test_the_pwm_limit_bounds_the_current(motor):
-    stall(motor, DriveCommand(Mode.CURRENT, current_a=2.0, duty=0.1))
-    assert motor.current_a == pytest.approx(0.23, abs=0.005)
-
-
 def test_the_velocity_loop_does_not_wind_up_beyond_the_stall_current(motor):
     stall(motor, DriveCommand(Mode.VELOCITY, velocity_rad_s=2.0), 2.0)
     # Within 2 s it warms by 9 K.

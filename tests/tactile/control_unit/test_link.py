@@ -18,12 +18,7 @@ from simulator.can.wire import mean_bits
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import TactileLink
 from tactile.control_unit.search import listen
-from tactile.control_unit.settings import (
-    LinkSettings,
-    bus_load,
-    least_sync_period_s,
-    message_bits,
-)
+from tactile.control_unit.settings import LinkSettings, bus_load, least_sync_period_s, message_bits
 from tactile.control_unit.watch import FrameFlow, NodeWatch, emergency_text
 from tactile.errors import (
     BusDisturbed,
