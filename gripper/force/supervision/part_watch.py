@@ -18,7 +18,7 @@ from gripper.mechanics.kinematics import driving_n, mean_friction_n, transmissio
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.recent import FRAME_S, LOOK_BACK_S, ONE_FRAME_S, RecentForce
-from gripper.values.state import STANDING_M_S, ServoFeedback
+from gripper.values.state import ServoFeedback
 
 _EMPTY_S = 5 * FRAME_S
 """Time in s of five frames: a part may be lost after empty pads of this time. After loaded pads of
@@ -31,9 +31,6 @@ _FIRM_N_M = 1000.0
 """Least stiffness in N/m of a part with which this travel is no oscillation. [tuned]"""
 _FOLLOWS_S = 0.03
 """Time in s for which fingers on a part keep their speed under a constant drive. [tuned]"""
-_STAND_S, _STAND_M_S = 0.04, 1.5 * STANDING_M_S
-"""Time in s and speed limit in m/s of standing fingers, which travel a step of the opening at most:
-free ones travel several times as far with a drive of `_PRESSING_N`. [tuned]"""
 _PRESSING_N, BREAKAWAY_SHARE = 1.0, 0.3
 """Driving force in N beyond friction at rest that certainly moves free fingers, and the largest
 ratio of that friction to friction in motion. [assumed]"""
@@ -127,24 +124,14 @@ class PadSamples:
         much_n = min(planned_n, self.before_n)
         if much_n <= _SUDDEN_RATIO * self.empty_n:
             return False
-        newest = self._newest(much_n)
+        newest_noise_n = (_HELD_SHARE * much_n - self.empty_n) / _SUDDEN_SIGMAS / _PAD_NOISE
+        newest = RecentForce(max(0.0, newest_noise_n), least=1, longest_s=ONE_FRAME_S)
+        for sample in reversed(list(self.recent)):
+            newest.push(sample)
         pad_noise_n = _PAD_NOISE * newest.noise_n
         held_n = _HELD_SHARE * much_n
         noisy_n = min(self.empty_n + pad_noise_n, held_n - _SUDDEN_SIGMAS * pad_noise_n)
         return max(newest.finger_means_n) < max(self.empty_n, noisy_n)
-
-    def loaded_again(self, force_n: float) -> bool:
-        """Return whether the newest samples show half of an earlier force in N."""
-        least_n = min(self._newest(force_n).finger_means_n)
-        return least_n > max(self.loaded_n, _HELD_SHARE * force_n)
-
-    def _newest(self, force_n: float) -> RecentForce:
-        """Return as many of the newest samples as distinguish a force from that of empty pads."""
-        noise_n = (_HELD_SHARE * force_n - self.empty_n) / _SUDDEN_SIGMAS / _PAD_NOISE
-        newest = RecentForce(max(0.0, noise_n), least=1, longest_s=ONE_FRAME_S)
-        for sample in reversed(list(self.recent)):
-            newest.push(sample)
-        return newest
 
 
 class FrameMean:
@@ -284,7 +271,7 @@ class PartWatch:
         return self.ran or (self.suspicious and self._confirmed(moment, stiffness_n_m))
 
     def _compare(self, moment: Moment, sample: ForceSample) -> None:
-        """Begin or end a doubt by a valid sample; GripContradicted when it shows the part again."""
+        """Begin or end a doubt by a valid sample."""
         pads, suspicion = self.pads, self._suspicion
         empty, sudden = pads.empty, pads.suddenly_empty(self._grip.planned_n)
         if suspicion is None:
@@ -295,8 +282,6 @@ class PartWatch:
             motions = self._motions
             began = next((m for m in reversed(motions) if m.t_s <= since_s), motions[0])
             self._suspicion = suspicion = _Suspicion(began, pads.before_n, sample.t_s)
-        elif self.suspicious and pads.loaded_again(suspicion.force_n):
-            raise self._contradicted(moment, suspicion, f"now it is {pads.newest_text} again")
         suspicion.frames.push(sample)
         suspicion.empty_s = suspicion.empty_s + moment.dt_s if empty else 0.0
         if suspicion.acts_s is not None:
@@ -328,20 +313,12 @@ class PartWatch:
         pressing_n = driving_n(moment.state, paths) - friction_n
         if pressing_n < _PRESSING_N:
             return bool(suspicion.frames) or moment.sample is None or moment.sample.frame_s is None
-        waited_s = motion.t_s - suspicion.acts_s
-        if (
-            waited_s >= _STAND_S
-            and abs(grip.apertures.at(motion.t_s - _STAND_S) - motion.aperture_m)
-            <= grip.stiffness.step_m
-            and abs(motion.closing_m_s) <= _STAND_M_S
-        ):
+        if motion.t_s - suspicion.acts_s >= _UNDECIDED_S:
             shows = (
-                f"the fingers stand at an opening of {1e3 * motion.aperture_m:.1f} mm although the "
-                f"motors press with {pressing_n:.1f} N beyond friction"
+                f"the fingers do not run together from {1e3 * motion.aperture_m:.1f} mm although "
+                f"the motors press with {pressing_n:.1f} N beyond friction"
             )
             raise self._contradicted(moment, suspicion, shows)
-        if waited_s >= _UNDECIDED_S:
-            raise self._contradicted(moment, suspicion, "neither frames nor fingers confirm that")
         return False
 
     def _contradicted(self, moment: Moment, suspicion: _Suspicion, shows: str) -> GripContradicted:
