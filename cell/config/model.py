@@ -344,13 +344,12 @@ class CellConfig(Section):
             notes += (hot,)
         asked_mm_s = self.gripper.approach_speed_mm_s
         speed_mm_s = 1e3 * check_approach(self.gripper_settings, self.linkage)
-        if speed_mm_s >= asked_mm_s:
-            return notes
-        return (
-            *notes,
-            f"the fingers approach with as little as {speed_mm_s:.1f} mm/s, not with "
-            f"gripper.approach_speed_mm_s = {asked_mm_s:g}: at a higher speed the impact could "
-            f"exceed gripper.force_max_n = {self.gripper.force_max_n:g} N. To close faster, lower "
-            f"gripper.contact.approach_force_n, or gripper.contact.pad_stiffness_n_mm if the pads "
-            f"are softer",
-        )
+        if speed_mm_s < asked_mm_s:
+            notes += (
+                f"the fingers approach with as little as {speed_mm_s:.1f} mm/s, not with "
+                f"gripper.approach_speed_mm_s = {asked_mm_s:g}: at a higher speed the impact could "
+                f"exceed gripper.force_max_n = {self.gripper.force_max_n:g} N. To close faster, "
+                "lower gripper.contact.approach_force_n, or gripper.contact.pad_stiffness_n_mm if "
+                "the pads are softer",
+            )
+        return notes

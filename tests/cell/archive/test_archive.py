@@ -187,6 +187,8 @@ def test_a_kill_at_any_moment_gives_each_row_once_after_the_next_run(tmp_path, m
         step = getattr(LocalFileSystem, name)
 
         def counted(*given: Any, **named: Any) -> Any:
+            if name == "open" and "rb" in (*given[2:], named.get("mode", "rb")):
+                return step(*given, **named)
             moment()
             done = step(*given, **named)
             moment()
@@ -207,7 +209,7 @@ def test_a_kill_at_any_moment_gives_each_row_once_after_the_next_run(tmp_path, m
             break
         assert every(target) == whole
         assert not Path(target, "_staged").exists()
-    assert kill_at > 40
+    assert kill_at > 25
 
 
 def test_an_object_store_is_an_archive_too(fleet, archived) -> None:

@@ -311,6 +311,7 @@ def test_what_is_wrong_is_named(make_stand, step, fault, status, named) -> None:
     """The step moves and sets nothing; a fault may also be other hardware, or two faults."""
     hardware = fault if isinstance(fault, dict) else {}
     stand = make_stand(**({"noise": NoiseModel(level=0.3)} if step is FORCE else hardware))
+    stand.knows(gripper__pads_meet=step is not FORCE)  # the last and longest of its motions
     for one in [] if hardware else fault.split(", "):
         stand.cell.inject(one)
     finding = stand.run(step)
