@@ -70,6 +70,8 @@ _SLOT_S = 0.003
 """Time in s that a servo may take for its answer to a broadcast ping, for each ID."""
 _LOCK_TIMEOUT_S = 1.0
 """Longest wait in s for another thread's transaction."""
+_LOST_S = 1.0
+"""Round-trip time in s that a lost answer counts as: longer than any period."""
 _CRC_REFUSED = 3
 """Error number of a servo that received a damaged request (e-Manual, "Error": CRC)."""
 _HEARD_BYTES = 16
@@ -316,10 +318,8 @@ class ServoBus:
         """Return whether a servo answers pings but no read: Status Return Level (68) is 0."""
         try:
             self.read(servo_id, MODEL_NUMBER)
-        except AnswersOff:
-            return True
-        except (BusTimeout, BusCorrupt):
-            return False
+        except (BusTimeout, BusCorrupt) as error:
+            return isinstance(error, AnswersOff)
         return False
 
     def demand_answers(self, ids: Sequence[int]) -> None:
@@ -332,8 +332,10 @@ class ServoBus:
             self.sync_write({servo_id: (ANSWERS_ALL,)}, RegisterBlock(STATUS_RETURN_LEVEL))
 
     def round_trip_s(self, servo_id: int) -> float:
-        """Return the round-trip time of a ping in s, also for a late answer."""
-        return self._ask_once(_ping_request(servo_id), patient=True)[1]
+        """Return the round-trip time of a ping in s, also for a late answer; 1 s for a lost one."""
+        with suppress(BusTimeout, BusCorrupt):
+            return self._ask_once(_ping_request(servo_id), patient=True)[1]
+        return _LOST_S
 
     def read(self, servo_id: int, register: Register) -> int:
         """Return the raw value of an item, sign-extended."""

@@ -115,7 +115,7 @@ class LoopRunner:
         self.observer: Observer | None = None
         """Called once a period of the running command; None without one."""
         self._due_s = clock.monotonic()
-        self._bus_loss = BusLossMonitor(servos, settings)
+        self._bus_loss = BusLossMonitor(servos)
         self._cycles = 0
 
     @property

@@ -6,7 +6,6 @@ from math import ceil
 
 from gripper.errors import BusCorrupt, BusTimeout, BusUnreliable, FingerSilent, GripperError
 from gripper.servos.group import Servos
-from gripper.settings import GripperSettings
 from gripper.values.state import GripperPhase
 
 _FREEZE_AT = 2
@@ -27,13 +26,13 @@ class BusLossMonitor:
 
     Parameters
     ----------
-    servos, settings
-        Of the gripper.
+    servos
+        The servos of the gripper.
     """
 
-    def __init__(self, servos: Servos, settings: GripperSettings) -> None:
+    def __init__(self, servos: Servos) -> None:
         self._servos = servos
-        self._settings = settings
+        self._settings = settings = servos.settings
         self._since_s = 0.0
         self._in_row = 0
         self._one_sided = 0

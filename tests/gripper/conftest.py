@@ -132,11 +132,9 @@ class Part:
 class SampledForce:
     """A force sensor: 50 Hz, delayed, noisy; ``rate_hz`` makes it send messages, each one scan."""
 
-    def __init__(
-        self, *, noise_n: float, delay_s: float, seed: int = 7, rate_hz: float | None = None
-    ) -> None:
+    def __init__(self, *, noise_n: float, seed: int, rate_hz: float | None) -> None:
         self.noise_n = noise_n
-        self.delay_s = delay_s if rate_hz is None else 0.0015
+        self.delay_s = 0.03 if rate_hz is None else 0.0015
         self.period_s = 0.02 if rate_hz is None else 1.0 / rate_hz
         # Of slow samples the noise is not known.
         self.known = {"lag_s": 0.0}
@@ -198,7 +196,6 @@ class Cell:
         stiffness_n_m: float = 20_000.0,
         present: bool = True,
         noise_n: float = 0.2,
-        delay_s: float = 0.03,
         kt_error: float = 0.0,
         catalogue_torque: bool = False,
         friction_error: float = 0.0,
@@ -222,7 +219,7 @@ class Cell:
         """
         self.clock = VirtualClock()
         self.part = Part(width_m, stiffness_n_m, present)
-        self.sensor = SampledForce(noise_n=noise_n, delay_s=delay_s, seed=seed, rate_hz=rate_hz)
+        self.sensor = SampledForce(noise_n=noise_n, seed=seed, rate_hz=rate_hz)
         directions = (1, -1)[:n_servos]
         self.motors = [ServoMotor(model) for _ in range(n_servos)]
         # The friction of the catalogue; that of the data sheet is a loaded one.

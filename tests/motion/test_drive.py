@@ -294,20 +294,11 @@ def test_a_drive_whose_host_is_gone_stops_by_itself(make_drive) -> None:
     assert bench.move(0.0) == pytest.approx(0.0, abs=NEAR_M)
 
 
-def test_states_are_those_of_canopen() -> None:
-    for name, (mask, bits) in State402.SW_MASK.items():
-        # Whatever the other bits are, among them "remote" and those of the mode.
-        assert od.state_of(bits | ~mask & 0xFFFF) == name
-    assert od.state_of(1) == "UNKNOWN"
-
-
 @pytest.mark.parametrize(
     ("code", "text"),
     [
-        (0x8611, "error 8611h: following error: the axis does not follow its set-point"),
         (0x2342, "error 2342h: current"),
         (0xFF07, "error FF07h: device specific"),
-        (0x7305, "error 7305h: the encoder failed"),
     ],
 )
 def test_error_codes_have_words(code: int, text: str) -> None:
