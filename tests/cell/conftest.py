@@ -289,7 +289,6 @@ SURE, UNSURE, STRANGE = (0.9999, 0.001), (0.6, 0.01), (0.9, 0.999)
 
 
 from tests.cell.served import (  # noqa: E402, F401  it takes `small_config` from here
-    anyio_backend,
     make_plugin,
     plugin,
     serve,

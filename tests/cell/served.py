@@ -126,12 +126,6 @@ def serving(
             yield served
 
 
-@pytest.fixture(scope="session")
-def anyio_backend() -> str:
-    """The event loop of tests that are coroutines."""
-    return "asyncio"
-
-
 @pytest.fixture
 def serve(request: pytest.FixtureRequest, undo: ExitStack) -> Callable[..., Served]:
     """Return the maker of services; ``interfaces`` opens them.

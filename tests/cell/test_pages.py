@@ -27,6 +27,7 @@ from cell.service.history import History
 from gripper.values.outcome import GraspResult
 from tests import ROOT, blocks, commands
 from tests.cell.conftest import small_config
+from tests.marks import LONG
 
 
 def typed(page: str) -> Iterator[str]:
@@ -222,9 +223,9 @@ def test_benchmarks_that_the_docs_name_exist() -> None:
     ("name", "way"),
     [
         ("gripper", "from cell import build_cell"),
-        ("tactile", "import cell.build"),
-        ("motion", "from cell import TactileCellPlugin"),
-        ("simulator", "import cell.runtime.plugin"),
+        LONG("tactile", "import cell.build"),
+        LONG("motion", "from cell import TactileCellPlugin"),
+        LONG("simulator", "import cell.runtime.plugin"),
         ("recognition", "from cell.interfaces.cli import main; main()"),
     ],
 )

@@ -45,6 +45,7 @@ def test_operator_is_asked_and_can_stop() -> None:
     assert "x +1.0 mm" in asked[1]
     with pytest.raises(PositionerError, match="operator stopped"):
         positioner.present(None)
+    assert "the object to identify" in asked[2]
 
 
 def test_operator_who_is_not_there_is_an_error() -> None:

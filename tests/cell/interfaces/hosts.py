@@ -222,21 +222,22 @@ VALUE_PLACES = {
 """What all interfaces show, by our name for it."""
 
 
-class ModbusHost:
+class ModbusHost(Plc):
     """A PLC; a request is one block of registers with its sequence number at the end."""
 
     name = "Modbus 127.0.0.1"
     """As the cell shows who holds."""
 
     def __init__(self, interfaces: dict[str, Any]) -> None:
-        self._plc, self._panel = Plc(interfaces["modbus_port"]), Plc(interfaces["modbus_port"])
+        super().__init__(interfaces["modbus_port"])
+        self._panel = Plc(interfaces["modbus_port"])
         self._block: list[int] = []
 
     def acquire(self) -> int:
         """Take command and return 0, or the fault number of the refusal."""
-        if self._plc.live():
-            return self._plc.refusal()[0]
-        self._plc.adopt()
+        if self.live():
+            return self.refusal()[0]
+        self.adopt()
         return 0
 
     def send(self, request: Request, number: int) -> int:
@@ -247,15 +248,15 @@ class ModbusHost:
         return self._run(code, object_id, force, request.max_grasps, options, request.key)
 
     def _run(self, *registers: int) -> int:
-        self._plc.seq = (self._plc.seq + 1) & 0xFFFF
-        self._block = [*registers, *[0] * (7 - len(registers)), self._plc.seq]
+        self.seq = (self.seq + 1) & 0xFFFF
+        self._block = [*registers, *[0] * (7 - len(registers)), self.seq]
         return self.repeat()
 
     def repeat(self) -> int:
         """Send the last request once more; return as `send`."""
-        if self._plc.write(COMMAND, *self._block):
+        if self.write(COMMAND, *self._block):
             return -NOT_IN_COMMAND
-        inputs = self._plc.inputs()
+        inputs = self.inputs()
         return -inputs[6] if inputs[6] else inputs[8]
 
     def hold(self, latch: bool | None = None) -> None:
@@ -269,7 +270,7 @@ class ModbusHost:
 
     def values(self) -> dict[str, Any]:
         """Return what the interface shows, by the names of `VALUE_PLACES`; None: not measured."""
-        inputs = self._plc.inputs() + self._plc.part()
+        inputs = self.inputs() + self.part()
         values: dict[str, Any] = {"fault": inputs[7] if inputs[2] & 32 else 0}
         for name, place in VALUE_PLACES.items():
             register, _, bit = place.register.partition(".")
@@ -280,12 +281,8 @@ class ModbusHost:
                 values[name] = inputs[int(register)] * place.unit if measured else None
         return values
 
-    def refusal(self) -> tuple[int, str]:
-        """Return number and text of the last refusal."""
-        return self._plc.refusal()
-
     def close(self) -> None:
-        self._plc.link.close()
+        self.link.close()
         self._panel.link.close()
 
 

@@ -46,7 +46,7 @@ from tactile.errors import HeartbeatLost
 from tests import ROOT, blocks, commands
 from tests.cell.conftest import REAL, MakeBench, call, once, small_config
 from tests.cell.interfaces.hosts import Client
-from tests.cell.served import Served
+from tests.cell.served import GRASP, Served
 from tests.faults.campaign import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 from tests.hil.program import PROGRAM
 from tests.hil.supervisor import read_unit
@@ -300,14 +300,8 @@ def values_of(text: str) -> dict[str, float]:
 def test_a_scrape_counts_parts_faults_and_links(connect, monkeypatch) -> None:
     served, client = connect(cell={})
     lease = client.post("/api/lease", name="host")["lease"]
-    drive = DriveCharacteristic(
-        coulomb_a=0.1,
-        breakaway_a=0.2,
-        rising_a_nm=0.6,
-        falling_a_nm=0.4,
-        kt_nm_a=1.6,
-        measured_s=1.0,
-    )
+    amperes = {"coulomb_a": 0.1, "breakaway_a": 0.2, "rising_a_nm": 0.6, "falling_a_nm": 0.4}
+    drive = DriveCharacteristic(**amperes, kt_nm_a=1.6, measured_s=1.0)
     monkeypatch.setattr(Zeroing, "drives", {1: drive, 2: drive})
     goal = {"task": "sort", "parts": 1, "feed": ["box"], "max_grasps": 1}
     client.post("/api/jobs", lease=lease, goal=goal)
@@ -324,11 +318,9 @@ def test_a_scrape_counts_parts_faults_and_links(connect, monkeypatch) -> None:
         ("servo_temperature_celsius{1}", 10, 80),
     ):
         assert least <= samples[f"tactile_cell_{name}"] <= most, name
-    for name, value in (
-        ("amperes_per_newton_metre{rising}", drive.rising_a_nm),
-        ("amperes_per_newton_metre{falling}", drive.falling_a_nm),
-    ):
-        assert samples[f"tactile_cell_servo_{name}{{1}}"] == value
+    for way in ("rising", "falling"):
+        name = f"tactile_cell_servo_amperes_per_newton_metre{{{way}}}{{1}}"
+        assert samples[name] == amperes[f"{way}_a_nm"]
     check_dashboard(samples)
     served.plugin.simulate({"inject": "servo1.off"})
     client.post("/api/jobs", lease=lease, goal={"task": "grip", "force_n": 3.0})
@@ -358,10 +350,7 @@ def check_dashboard(scrape: dict[str, float]) -> None:
 
 def test_each_result_of_a_part_is_counted() -> None:
     totals = Totals()
-    record = SimpleNamespace(
-        cycles=(SimpleNamespace(setpoint_n=5.0),), outcome=SimpleNamespace(final_force_n=4.7)
-    )
-    grasps = SimpleNamespace(records=(record, record))
+    grasps = SimpleNamespace(records=(GRASP, GRASP))
     for label, rejected in (("ball", False), ("ball", True), (UNKNOWN, True)):
         totals.add(Part(label=label, rejected=rejected, seconds=70.0), grasps)
     totals.add(Part(seconds=70.0), None)
@@ -372,7 +361,7 @@ def test_each_result_of_a_part_is_counted() -> None:
         ("", "missed"): 1,
     }
     assert totals.cycles_s == Sum(n=3, sum=210.0)
-    assert (totals.force_errors_n.n, totals.force_errors_n.sum) == (6, pytest.approx(1.8))
+    assert (totals.force_errors_n.n, totals.force_errors_n.sum) == (6, pytest.approx(0.6))
 
 
 def test_metrics_need_a_token_and_health_does_not(connect) -> None:

@@ -355,17 +355,14 @@ def test_an_answer_may_take_longer_than_a_request(connect) -> None:
 
 def test_a_page_from_elsewhere_is_refused(host) -> None:
     here = f"http://127.0.0.1:{host.port}"
-    for origin, status in ((here, 200), ("http://evil.example", 403), ("null", 403)):
-        assert host.ask("POST", "/api/hold", {}, Origin=origin)[0] == status
+    assert host.ask("POST", "/api/hold", {}, Origin=here)[0] == 200
     with host.live(origin=here) as link:
         assert json.loads(link.recv(timeout=20))["status"]["state"] == "IDLE"
-    with pytest.raises(InvalidStatus, match="403"), host.live(origin="http://evil.example"):
-        pass
-    # Another scheme is another origin.
-    for scheme in ("https", "file", "ws", "chrome-extension"):
-        other = f"{scheme}://127.0.0.1:{host.port}"
-        assert host.ask("POST", "/api/hold", {}, Origin=other)[0] == 403
-        with pytest.raises(InvalidStatus, match="403"), host.live(origin=other):
+    schemes = ("https", "file", "ws", "chrome-extension")
+    others = [here.replace("http", scheme) for scheme in schemes]
+    for origin in ("http://evil.example", "null", *others):
+        assert host.ask("POST", "/api/hold", {}, Origin=origin)[0] == 403
+        with pytest.raises(InvalidStatus, match="403"), host.live(origin=origin):
             pass
     # A name that leads here is not the name of this machine.
     here_by_another = socket.create_connection(("127.0.0.1", host.port))

@@ -83,8 +83,12 @@ def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -
     exec(typed.replace('"grasps": 6', '"grasps": 3'), {"cell": plugin})
     assert plugin.labels == ("ball", "box", "my mug")
     assert (plugin.status().state, plugin.simulate({"state": True})["placed"]) == ("IDLE", None)
+    parts: list[Part] = []
+    plugin.watch_parts(lambda part, _grasps: parts.append(part))
     with pytest.raises(JobFailed, match="no contact"):
         done(plugin, IdentifyGoal(present="nothing"))
+    (turn,) = parts  # one without a part
+    assert (turn.job, turn.task, turn.label, turn.time_s > 1e9) == (4, "identify", "", True)
 
 
 def test_a_part_that_nobody_can_bring_is_refused_at_once(plugin: Any) -> None:

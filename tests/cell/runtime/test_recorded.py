@@ -16,7 +16,6 @@ from cell.errors import (
     ConfigError,
     ModelError,
     NoPartFound,
-    PositionerError,
     RequestRefused,
 )
 from cell.evaluation.evaluate import evaluate_recognizers
@@ -31,9 +30,8 @@ from cell.recording.dataset import read_dataset, read_grasps, write_dataset
 from cell.recording.reader import read_recording
 from cell.report.confusion import BASELINE, score, score_tables
 from cell.runtime import tasks
-from cell.runtime.goals import GaugeGoal, IdentifyGoal
+from cell.runtime.goals import GaugeGoal
 from cell.runtime.main_job import baseline
-from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.sort import drawn_object
 from cell.runtime.tasks import Collection
 from gripper.values.outcome import GraspResult
@@ -98,20 +96,9 @@ def test_recorded_grasps_are_answered_one_by_one(taught: Any) -> None:
         identify_recorded(model, [plain_grasp("a")])
 
 
-def test_a_real_cell_is_not_told_what_it_holds(taught: Any) -> None:
-    asked: list[str] = []
-
-    def ask(text: str) -> str:
-        asked.append(text)
-        return "" if len(asked) == 1 else "q"
-
-    config = small_config(positioner__kind="operator")
-    with (
-        TactileCellPlugin(config, ask=ask, model=taught.result.model) as plugin,
-        pytest.raises(PositionerError, match="operator stopped"),
-    ):
-        plugin.run(IdentifyGoal(present=drawn_object(config)))
-    assert "the object to identify" in asked[0]
+def test_a_real_cell_is_not_told_what_it_holds() -> None:
+    assert drawn_object(small_config(positioner__kind="operator")) is None
+    assert drawn_object(small_config()) in ("ball", "box")
 
 
 # -- Taking a drift off: calibrate -----------------------------------------------------------------

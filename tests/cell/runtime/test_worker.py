@@ -5,8 +5,10 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -26,16 +28,26 @@ from tests.fuzz.harness import Clock
 
 
 @pytest.fixture
-def worker() -> Iterator[CellWorker]:
-    made = CellWorker(idle=lambda: None, idle_period_s=None)
-    yield made
-    made.close(5.0)
+def make_worker(undo: ExitStack) -> Callable[..., CellWorker]:
+    """Return the maker of workers, by default without supervision; they end with the test."""
+
+    def make(**options: Any) -> CellWorker:
+        made = CellWorker(**{"idle": lambda: None, "idle_period_s": None} | options)
+        undo.callback(made.close, 10.0)
+        return made
+
+    return make
 
 
-def test_jobs_of_others_and_closed_worker_are_refused(worker: CellWorker) -> None:
+@pytest.fixture
+def worker(make_worker: Any) -> CellWorker:
+    return make_worker()
+
+
+def test_jobs_of_others_and_closed_worker_are_refused(worker, make_worker) -> None:
     with pytest.raises(CellStateError, match="no job 77"):
         worker.status(Job(number=77, worker="another"))
-    other = CellWorker(idle=lambda: None, idle_period_s=None)
+    other = make_worker()
     ours, theirs = (each.start("work", lambda _report: None) for each in (worker, other))
     assert ours.number == theirs.number
     for ask in (worker.status, lambda job: worker.wait(job, 0.0)):
@@ -46,26 +58,26 @@ def test_jobs_of_others_and_closed_worker_are_refused(worker: CellWorker) -> Non
         other.start("work", lambda _report: None)
 
 
-def test_what_is_started_while_the_end_is_awaited_is_refused() -> None:
+def stuck(make_worker: Any) -> tuple[CellWorker, threading.Event]:
+    """Return a worker whose thread hangs between jobs, and what lets it go on."""
     looking, go_on = threading.Event(), threading.Event()
-
-    def idle() -> None:
-        looking.set()
-        go_on.wait(10.0)
-
-    worker = CellWorker(idle=idle, idle_period_s=0.001)
+    worker = make_worker(idle=lambda: (looking.set(), go_on.wait(10.0)), idle_period_s=0.001)
     assert looking.wait(10.0)
+    return worker, go_on
+
+
+def test_what_is_started_while_the_end_is_awaited_is_refused(make_worker) -> None:
+    worker, go_on = stuck(make_worker)
     with pytest.raises(TimeoutError, match="has not ended after 0 s"):
         worker.close(0.0)
     with pytest.raises(CellStateError, match="closed"):
         worker.start("work", lambda _report: None)
     go_on.set()
-    worker.close(10.0)
 
 
-def test_every_job_that_is_accepted_beside_a_close_ends() -> None:
+def test_every_job_that_is_accepted_beside_a_close_ends(make_worker) -> None:
     for _ in range(50):
-        worker = CellWorker(idle=lambda: None, idle_period_s=None)
+        worker = make_worker()
         accepted, first = [], threading.Event()
 
         def start(worker=worker, accepted=accepted, first=first) -> None:
@@ -85,22 +97,19 @@ def test_every_job_that_is_accepted_beside_a_close_ends() -> None:
         assert all(worker.status(job).outcome is JobOutcome.SUCCEEDED for job in accepted)
 
 
-def test_a_thread_that_is_stuck_between_jobs_does_not_work() -> None:
-    looking, go_on = threading.Event(), threading.Event()
-    worker = CellWorker(idle=lambda: (looking.set(), go_on.wait(10.0)), idle_period_s=0.001)
-    assert looking.wait(10.0)
+def test_a_thread_that_is_stuck_between_jobs_does_not_work(make_worker) -> None:
+    worker, go_on = stuck(make_worker)
     assert worker.working
     worker.looked_s -= 60.0
     assert not worker.working
     worker.start("work", lambda _report: None)
     assert worker.working  # it has a job
     go_on.set()
-    worker.close(10.0)
 
 
 @pytest.mark.parametrize("way", ["report", "period"])
-def test_a_job_has_a_longest_time_without_progress(way: str) -> None:
-    go_on, over = threading.Event(), threading.Event()
+def test_a_job_has_a_longest_time_without_progress(make_worker, way: str) -> None:
+    go_on, reported, over = (threading.Event() for _ in range(3))
     moved_s = [0.0]
 
     def hangs(report: Report) -> None:
@@ -109,11 +118,9 @@ def test_a_job_has_a_longest_time_without_progress(way: str) -> None:
         reported.set()
         over.wait(10.0)
 
-    reported = threading.Event()
-    worker = CellWorker(idle=lambda: None, idle_period_s=None, progressed_s=lambda: moved_s[0])
+    worker = make_worker(progressed_s=lambda: moved_s[0])
     job = worker.start("work", hangs)
-    while worker.status(job).outcome is not JobOutcome.EXECUTING:
-        go_on.wait(0.001)
+    until(lambda: worker.status(job).outcome is JobOutcome.EXECUTING)
     worker.looked_s -= JOB_SILENT_S - 1.0
     assert worker.working
     worker.looked_s -= 2.0
@@ -126,7 +133,6 @@ def test_a_job_has_a_longest_time_without_progress(way: str) -> None:
     assert worker.working
     go_on.set()
     over.set()
-    worker.close(10.0)
 
 
 def test_a_wait_answers_a_signal_that_another_thread_got(worker: CellWorker) -> None:

@@ -20,12 +20,10 @@ from cell.errors import (
     CellError,
     CellStateError,
     HeldByClient,
-    NoPartFound,
     RequestRefused,
 )
 from cell.recording.reader import read_recording
-from cell.runtime import tasks, worker
-from cell.runtime.goals import IdentifyGoal
+from cell.runtime import worker
 from cell.service import history
 from cell.service.history import History, history_file, read_day
 from cell.service.service import RELEASE_KEY
@@ -35,8 +33,6 @@ from tactile.errors import FrameTimeout
 from tests.cell.conftest import once, small_config
 from tests.cell.interfaces.hosts import Client
 from tests.cell.served import LEASE_S, until
-from tests.fuzz.harness import Clock
-from tests.values import raising
 
 IDENTIFY = {"task": "identify", "max_grasps": 1, "present": "ball"}
 KEEP = IDENTIFY | {"keep": "always"}
@@ -447,20 +443,6 @@ def test_a_clock_that_leaps_lets_no_times_grow(leap_s: float) -> None:
     shift.add(clock.part())
     assert shift.values()["parts_last_hour"] == len(shift._times_s) == 1
     assert shift.values()["parts"] == (11 if abs(leap_s) < 1e4 else 1)
-
-
-def test_a_turn_without_a_part_is_reported_as_such() -> None:
-    seen: list[Any] = []
-    controller: Any = SimpleNamespace(
-        clock=Clock(), journal=SimpleNamespace(brought="rod"), moves=Mock()
-    )
-    model: Any = Mock()
-    model.config, controller.identify = small_config(), raising(NoPartFound("no contact"))
-    cell = tasks.Tasks(controller, tasks.ModelFile(model, None), wall_s=lambda: 5.0)
-    cell.parts.listeners.append(lambda part, _verification: seen.append(part))
-    with pytest.raises(NoPartFound):
-        cell.identify(IdentifyGoal(), worker.Report(3, lambda **_fields: None))
-    assert seen == [Part(job=3, time_s=5.0, presented="rod")]
 
 
 # -- The history of a cell: a week of shifts in a table per day, and what it survives --------------
