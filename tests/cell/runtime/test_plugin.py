@@ -28,14 +28,13 @@ from cell.recording.dataset import read_dataset, write_dataset
 from cell.runtime.goals import GripGoal, IdentifyGoal, SortGoal, TeachGoal, VerifyGoal, checked_goal
 from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.sort import Places, SortAnswer, simulated_feed
-from cell.runtime.tasks import ModelFile, Tasks
-from cell.runtime.worker import JobFailed, JobOutcome, Report
+from cell.runtime.worker import JobFailed, JobOutcome
 from gripper.errors import ServoFault, VerificationFailed
 from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN
 from tactile.errors import NodeMissing
 from tests import blocks
-from tests.cell.conftest import MakeBench, once, quick_config, small_config
+from tests.cell.conftest import once, quick_config, small_config
 from tests.cell.served import LIMIT_S, done, grip_n, until
 
 
@@ -555,50 +554,42 @@ STRANGE = {"label": "rod", "shape": "cylinder:diameter=6mm,length=20mm"}
 
 
 class Sorter:
-    """A cell that sorts, and what its host saw at each place."""
+    """A plugin that sorts, and what its host saw at each place."""
 
-    def __init__(self, make_bench: MakeBench, taught: Any, **changes: Any) -> None:
+    def __init__(self, make_plugin: Any, taught: Any, **changes: Any) -> None:
         objects = [entry.model_dump() for entry in taught.config.simulator.objects]
-        config = changed_config(
-            taught.config, {"sort.places": BINS, "simulator.objects": [*objects, STRANGE]} | changes
-        )
-        self.seen: list[tuple[str, str | None, float]] = []
+        sorting = {"sort.places": BINS, "simulator.objects": [*objects, STRANGE]}
+        config = changed_config(taught.config, sorting | changes)
+        self.seen: list[tuple[str, str | None]] = []
+        self.forces_n: list[float] = []
         self.on_place: Callable[[Destination], Any] = lambda _destination: None
-        self.bench = make_bench(config, places=self._places)
-        self.controller = self.bench.controller
-        self.controller.start()
-        self.model = TaughtModel.load(config, taught.result.model)
-        self.tasks = Tasks(self.controller, ModelFile(self.model, None))
+        self.plugin = make_plugin(config, places=self._places, model=taught.result.model)
+        self.life = self.plugin.cell.controller.life
         self.parts: list[Part] = []
-        self.tasks.parts.listeners.append(lambda part, _verification: self.parts.append(part))
-        self.progress: dict[str, Any] = {}
+        self.plugin.watch_parts(lambda part, _grasps: self.parts.append(part))
 
-    def sort(self, *feed: str) -> None:
-        goal = SortGoal(parts=len(feed), feed=feed, seed=7)
-        self.tasks.sort(goal, Report(1, lambda **now: self.progress.update(now["progress"])))
+    def sort(self, *feed: str) -> Any:
+        """Sort these parts to the end of the job; return the job."""
+        job = self.plugin.start(SortGoal(parts=len(feed), feed=feed, seed=7))
+        return self.plugin._worker.wait(job, None)
 
     def _places(self, destination: Destination) -> Any:
-        placed = self.bench.simulated.devices.world.placed
-        held = None if placed is None else placed[0]
-        self.seen.append((destination.place, held, self.bench.grip_n))
+        placed = self.plugin.cell.simulated.world.placed
+        self.seen.append((destination.place, None if placed is None else placed[0]))
+        self.forces_n.append(grip_n(self.plugin))
         return self.on_place(destination)
 
 
 @pytest.fixture
-def sorter(make_bench: MakeBench, taught: Any) -> Sorter:
-    return Sorter(make_bench, taught)
+def sorter(make_plugin: Any, taught: Any) -> Sorter:
+    return Sorter(make_plugin, taught)
 
 
 def test_each_part_is_held_until_it_is_at_its_place(sorter: Sorter) -> None:
-    sorter.sort("ball", "box", "rod")
-    assert [(place, held) for place, held, _ in sorter.seen] == [
-        ("bin 1", "ball"),
-        ("bin 2", "box"),
-        ("reject", "rod"),
-    ]
-    assert min(force_n for _, _, force_n in sorter.seen) > 3.0
-    assert (sorter.controller.life.state, sorter.bench.grip_n) == (CellState.IDLE, 0.0)
-    tally = sorter.progress
+    tally = sorter.sort("ball", "box", "rod").progress
+    assert sorter.seen == [("bin 1", "ball"), ("bin 2", "box"), ("reject", "rod")]
+    assert min(sorter.forces_n) > 3.0
+    assert (sorter.life.state, grip_n(sorter.plugin)) == (CellState.IDLE, 0.0)
     assert tally["places"] == {"bin 1": 1, "bin 2": 1, "reject": 1}
     assert (tally["share_named"], tally["mistakes"]) == (pytest.approx(2 / 3), [])
     assert tally["matrix"]["rod"] == {"bin 1": 0, "bin 2": 0, "reject": 1}
@@ -624,43 +615,40 @@ def test_a_part_in_another_bin_is_a_mistake_and_a_reject_is_none(taught: Any) ->
 def test_a_part_that_changed_in_the_grip_goes_to_the_rejects(sorter: Sorter) -> None:
     def shove(destination: Destination) -> None:
         if destination.place != "reject":
-            sorter.bench.simulated.devices.world.slide(2.5e-3)
+            sorter.plugin.cell.simulated.world.slide(2.5e-3)
 
     sorter.on_place = shove
-    sorter.sort("ball")
-    assert [place for place, *_ in sorter.seen] == ["bin 1", "reject"]
+    assert sorter.sort("ball").progress["mistakes"] == []
+    assert [place for place, _ in sorter.seen] == ["bin 1", "reject"]
     (part,) = sorter.parts
     assert (part.label, part.place) == ("ball", "reject")
     assert any("footprint" in reason for reason in part.changed)
-    assert sorter.progress["mistakes"] == []
 
 
 def test_a_stop_just_before_a_part_is_let_go_keeps_it(sorter: Sorter) -> None:
-    verify = sorter.controller.kept_part.verify
+    verify = sorter.plugin.cell.controller.kept_part.verify
 
     def then_cancel() -> Any:
         check = verify()
-        sorter.controller.life.cancel()
+        sorter.life.cancel()
         return check
 
     sorter.on_place = lambda _destination: True  # is an answer too: the part is there
-    sorter.controller.kept_part.verify = then_cancel
-    with pytest.raises(CellStopped, match="before it was let go"):
-        sorter.sort("ball", "box")
-    assert sorter.controller.life.state is CellState.COMPLETE
-    assert sorter.bench.grip_n > 3.0
+    sorter.plugin.cell.controller.kept_part.verify = then_cancel
+    assert "before it was let go" in sorter.sort("ball", "box").error
+    assert sorter.life.state is CellState.COMPLETE
+    assert grip_n(sorter.plugin) > 3.0
 
 
 def test_turns_without_a_part_are_counted_and_three_in_a_row_end_the_sort(
-    make_bench: MakeBench, taught: Any
+    make_plugin: Any, taught: Any
 ) -> None:
-    changes = {"sequence.x_mm": [0.0, 0.0]}
-    sorter = Sorter(make_bench, taught, **changes)
-    grasps = absent_in(sorter.bench.cell, 1, 3, 4, 5)
-    with pytest.raises(NoPartFound):
-        sorter.sort(*["ball"] * 8)
+    sorter = Sorter(make_plugin, taught, **{"sequence.x_mm": [0.0, 0.0]})
+    grasps = absent_in(sorter.plugin.cell, 1, 3, 4, 5)
+    job = sorter.sort(*["ball"] * 8)
+    assert isinstance(job.exception, NoPartFound)
     assert len(grasps) == 5
-    assert (sorter.progress["n_missed"], sorter.progress["places"]["bin 1"]) == (4, 1)
+    assert (job.progress["n_missed"], job.progress["places"]["bin 1"]) == (4, 1)
 
 
 def test_places_are_checked_before_anything_is_sorted(taught: Any) -> None:
