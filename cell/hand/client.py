@@ -396,7 +396,10 @@ class HandProcess:
         return value
 
     def _next(self, patience_s: float) -> HandMessage:
-        """Wait for the next event and store its values of the hand; raise a fault."""
+        """Wait for the next event and store its values of the hand.
+
+        A fault that is not of a command is raised; a HandLost means the loss of the process.
+        """
         event = self._loop.next(patience_s)
         if isinstance(event, HandPeriod):
             for frame in event.frames:
@@ -408,12 +411,8 @@ class HandProcess:
                 event.latest.frame.counts.setflags(write=False)
             self.latest = event.latest
         elif isinstance(event, HandFault):
-            self._raise(event)
+            self._phase = event.phase
+            if isinstance(event.error, HandLost):
+                self._loop.abandon(event.error)
+            raise event.error
         return event
-
-    def _raise(self, fault: HandFault) -> NoReturn:
-        """Raise a fault that is not of a command; a HandLost means the loss of the process."""
-        self._phase = fault.phase
-        if isinstance(fault.error, HandLost):
-            self._loop.abandon(fault.error)
-        raise fault.error

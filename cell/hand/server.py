@@ -22,7 +22,6 @@ from types import FrameType
 from typing import Any
 
 from cell.errors import HandLost, HostSilent
-from cell.hand.interface import HandStatistics
 from cell.hand.local import LocalHand, open_hand
 from cell.hand.messages import (
     Boot,
@@ -240,7 +239,7 @@ class HandServer:
                 value=value,
                 error=failure,
                 phase=self._hand.phase,
-                statistics=self._statistics(),
+                statistics=replace(self._hand.statistics, undelivered=self._outbox.dropped),
             )
         )
         # Nothing waits now.
@@ -282,6 +281,3 @@ class HandServer:
         # The fault is sent already; another failure of the bus adds nothing.
         with suppress(GripperError):
             self._hand.keep_grip()
-
-    def _statistics(self) -> HandStatistics:
-        return replace(self._hand.statistics, undelivered=self._outbox.dropped)

@@ -47,11 +47,6 @@ class Calls:
         self._secret = secret
         self._refusals: dict[str, Refusal] = {}
 
-    @property
-    def refusal(self) -> Refusal:
-        """Reason of the last refused call of this address."""
-        return self._refusals.get(CLIENT.get(), Refusal())
-
     def _refuse(self, error: Exception) -> int:
         """Store why a call of this client is refused; return the number."""
         refusal, client = Refusal.of(error), CLIENT.get()
@@ -125,7 +120,7 @@ class Calls:
 
         A value that is not measured is not a refusal.
         """
-        return str(self.refusal)
+        return str(self._refusals.get(CLIENT.get(), Refusal()))
 
     def state(self) -> int:
         """Return the state of the cell: number of PackTags."""

@@ -35,7 +35,13 @@ from cell.interfaces.cli import terminal
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands import serve as serving
 from cell.interfaces.cli.commands.serve import ServiceManager
-from cell.interfaces.cli.commands.service import REMOVED, UNIT_FILE, closed_to_others, system_files
+from cell.interfaces.cli.commands.service import (
+    REMOVED,
+    RULES_FILE,
+    UNIT_FILE,
+    closed_to_others,
+    system_files,
+)
 from cell.recording.reader import RecordedMessages
 from cell.service.service import RELEASE_KEY
 from cell.service.shift import Sum, Totals
@@ -100,8 +106,7 @@ def with_axes(can: dict[str, Any]) -> dict[str, Any]:
 
 
 def unit_of(config: CellConfig, file: Path | None = None, *options: str) -> str:
-    (text,) = (one.text for one in system_files(config, file, options) if one.path == UNIT_FILE)
-    return text
+    return system_files(config, file, options)[UNIT_FILE]
 
 
 def test_systemd_verifies_the_unit(tmp_path) -> None:
@@ -180,7 +185,7 @@ def test_the_rules_name_each_serial_port_of_the_cell_and_keep_modem_manager_away
         config = small_config(
             **with_axes({"interface": "slcan", "channel": "/dev/ttyACM3"}) | changes
         )
-        rules = system_files(config, None)[0].text
+        rules = system_files(config, None)[RULES_FILE]
         for role, number in (lines | {"servos": 0, "roll": 4}).items():
             assert f'ENV{{DEVPATH}}=="*-{number}/*", SYMLINK+="tactile-cell/{role}"' in rules
         modem = 'ATTR{idProduct}=="7523", ENV{ID_MM_DEVICE_IGNORE}="1"'

@@ -9,7 +9,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib.metadata import distributions
 from ipaddress import ip_address
 from pathlib import Path
@@ -105,18 +104,10 @@ WantedBy=multi-user.target
 """
 
 
-@dataclass(frozen=True, slots=True)
-class SystemFile:
-    """A file of the system that `service install` prints or writes."""
-
-    path: Path
-    text: str
-
-
 def system_files(
     config: CellConfig, config_file: Path | None, options: tuple[str, ...] = ()
-) -> tuple[SystemFile, ...]:
-    """Return rules, user and unit of a cell.
+) -> dict[Path, str]:
+    """Return the text of rules, user and unit of a cell, by their files.
 
     Parameters
     ----------
@@ -126,11 +117,11 @@ def system_files(
         Further options of `serve`.
     """
     user = f'u {NAME} - "tactile-cell" {STATE_FOLDER}\nm {NAME} dialout\n'
-    return (
-        SystemFile(RULES_FILE, "\n".join(_rules(config)) + "\n"),
-        SystemFile(USER_FILE, user),
-        SystemFile(UNIT_FILE, _unit(config, config_file, options)),
-    )
+    return {
+        RULES_FILE: "\n".join(_rules(config)) + "\n",
+        USER_FILE: user,
+        UNIT_FILE: _unit(config, config_file, options),
+    }
 
 
 # -- udev --------------------------------------------------------------------------------------
@@ -344,12 +335,12 @@ def install(
                 f"{path}: the user {NAME} cannot read {closed}; move it, for example to "
                 f"{STATE_FOLDER} or /opt, or permit it: chmod o+rX"
             )
-    for file in files:
-        path = root / file.path.relative_to("/")
+    for file, text in files.items():
+        path = root / file.relative_to("/")
         if apply:
-            changed |= _write(path, file.text)
+            changed |= _write(path, text)
         else:
-            print_line(f"# {path}\n{file.text}")
+            print_line(f"# {path}\n{text}")
     if not apply:
         print_line("# nothing was written; add --apply to write these files")
     elif changed:
