@@ -165,7 +165,10 @@ class RunningCell:
 
         def show(job: Job) -> None:
             on_progress(job)
-            show_steps(self.progress, job.progress)
+            now = job.progress
+            if done := now.get("parts", now.get("grasps", 0) + now.get("missed", 0)):
+                task = " ".join(filter(None, (now["task"], now.get("label"))))
+                self.progress(task, done, now["of"])
 
         return self.plugin.run(goal, on_progress=show)
 
@@ -281,13 +284,6 @@ def job_folder(directory: Path, job: str) -> Path:
             ) from error
         return folder
     raise CellError(f"{directory} has 100 folders of {job}-{stamp}; name another folder with --out")
-
-
-def show_steps(show: Progress, progress: Mapping[str, Any]) -> None:
-    """Show the bar of a job: finished grasps or parts, and their total."""
-    if done := progress.get("parts", progress.get("grasps", 0) + progress.get("missed", 0)):
-        task = " ".join(filter(None, (progress["task"], progress.get("label") or "")))
-        show(progress["task"] if progress["task"] == "sort" else task, done, progress["of"])
 
 
 @contextmanager

@@ -16,11 +16,6 @@ from cell.runtime.goals import FEED_MAX, SortGoal
 from cell.runtime.main_job import teach_objects
 from cell.runtime.sort import Places, simulated_feed
 
-TALLY_KEYS = (
-    *("n_parts", "n_missed", "n_rejected", "share_named", "places", "matrix", "mistakes"),
-)
-"""Keys of the progress of a sort."""
-
 
 def sort(
     config: options.Config = None,
@@ -67,10 +62,10 @@ def sort(
             cell.plugin.watch_parts(
                 lambda part, identification: each.append(part) if identification else None
             )
-            cell.run(goal, lambda job: tally.update(job.progress))
+            answer = cell.run(goal, lambda job: tally.update(job.progress))
     finally:
         show(tally_lines(tally))
-    cell.finish((), {name: tally[name] for name in TALLY_KEYS} | {"parts": each})
+    cell.finish((), answer.as_json() | {"parts": each})
 
 
 def tally_lines(tally: dict[str, Any]) -> Iterator[str | Table]:
