@@ -11,8 +11,8 @@ older answer of this servo is pending.
 import struct
 import threading
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -243,19 +243,14 @@ class ServoBus:
         """Counts since the bus was opened."""
         return BusStatistics(**self._counts)
 
-    @contextmanager
-    def in_loop(self) -> Iterator[None]:
+    def in_loop(self) -> "_InLoop":
         """Limit each transaction in the block to the time that a period of the loop allows.
 
         Outside the block a retry waits for ``_LATE_GUARD_S``: at a start or between commands a slow
         answer is no fault. Within it a sync read does not wait for a quiet line: its caller also
         reads Realtime Tick (register 120), which shows an old answer.
         """
-        before, self.patient = self.patient, False
-        try:
-            yield
-        finally:
-            self.patient = before
+        return _InLoop(self)
 
     def ping(self, servo_id: int) -> ServoIdentity:
         """Read the identity of a servo; raises BusTimeout if no servo has this ID."""
@@ -430,8 +425,7 @@ class ServoBus:
             self._closed = True
             self.port.close()
 
-    @contextmanager
-    def exclusive(self, *, quiet: bool = True) -> Iterator[None]:
+    def exclusive(self, *, quiet: bool = True) -> "_Transaction":
         """Hold the line for one transaction; ``quiet``: after a suspect line has become quiet.
 
         Raises
@@ -443,6 +437,10 @@ class ServoBus:
         BusCorrupt
             When the line never becomes quiet.
         """
+        return _Transaction(self, quiet)
+
+    def begin(self, *, quiet: bool) -> None:
+        """Begin a transaction, as `exclusive`."""
         if not self._lock.acquire(timeout=_LOCK_TIMEOUT_S):
             raise BusBusy(f"another thread holds the servo bus for more than {_LOCK_TIMEOUT_S} s")
         try:
@@ -453,10 +451,14 @@ class ServoBus:
                 self._wait_until_quiet()
             elif self._suspect and self._clock.monotonic() - self._suspect_since_s > _LATE_GUARD_S:
                 self._mark_clean()
-            yield
-        finally:
-            self.port.is_using = False
-            self._lock.release()
+        except BaseException:
+            self.end()
+            raise
+
+    def end(self) -> None:
+        """End a transaction."""
+        self.port.is_using = False
+        self._lock.release()
 
     def _address(self, servo_id: int, what: Register | RegisterBlock) -> int:
         """Return the address of an item or a block in the control table of a servo's model."""
@@ -655,6 +657,32 @@ class ServoBus:
             f"sends on the line, or it picks up noise: disconnect other hosts, check cable, "
             f"ground, termination and baud rate"
         )
+
+
+class _Transaction:
+    """The line, held; a class, because a generator takes longer in each period."""
+
+    def __init__(self, bus: ServoBus, quiet: bool) -> None:
+        self._bus, self._quiet = bus, quiet
+
+    def __enter__(self) -> None:
+        self._bus.begin(quiet=self._quiet)
+
+    def __exit__(self, *_error: object) -> None:
+        self._bus.end()
+
+
+class _InLoop:
+    """Transactions of a period."""
+
+    def __init__(self, bus: ServoBus) -> None:
+        self._bus, self._before = bus, bus.patient
+
+    def __enter__(self) -> None:
+        self._bus.patient = False
+
+    def __exit__(self, *_error: object) -> None:
+        self._bus.patient = self._before
 
 
 def _ping_request(servo_id: int) -> _Request:

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import TypeVar
 
 import can
 import canopen
@@ -36,6 +37,8 @@ from tactile.source import (
     SourceStatistics,
     TactileFrame,
 )
+
+_Result = TypeVar("_Result")
 
 _TRIPS = 10
 """Number of answers; one of them must come in time. A busy host may delay some."""
@@ -206,8 +209,7 @@ class TactileLink:
         self._running = True
         self.fault = None
         self._reset()
-        with self._latching():
-            return self._commission()
+        return self._guarded(self._commission)
 
     @contextmanager
     def reading(self) -> Iterator[PolledSdoClient]:
@@ -264,8 +266,7 @@ class TactileLink:
 
     def poll(self) -> Arrivals:
         """Return the complete frames and force messages since the last call; does not wait."""
-        with self._latching():
-            self._service()
+        self._guarded(self._service)
         frames = tuple(self._frames)
         self._frames.clear()
         return Arrivals(frames, self._take_forces())
@@ -287,7 +288,8 @@ class TactileLink:
             return
         order, adc_max = self._mounting.zero_order, self.layout.adc_max
         sent = encode_zero(zero.touch_counts, zero.offset_counts[order], zero.bad[order], adc_max)
-        with self._latching():
+
+        def write() -> None:
             self.objects[od.FORCE_ZERO].raw = sent
             written_s = self._clock.monotonic()
             self._take_forces()
@@ -303,6 +305,8 @@ class TactileLink:
             refuse_mismatch([zeros], f"{self._name} did not keep its zero")
             self._take_forces()
 
+        self._guarded(write)
+
     def stop(self) -> None:
         """Stop the frames and the receiver; does not raise on a dead bus, leaves the bus open."""
         if self._running:
@@ -315,15 +319,14 @@ class TactileLink:
                 self.fault = self.fault or fault
         self._source.close()
 
-    @contextmanager
-    def _latching(self) -> Iterator[None]:
-        """Require a running link without a fault; a fault in the block latches."""
+    def _guarded(self, action: Callable[[], _Result]) -> _Result:
+        """Return the result of an action that needs a link without a fault; a fault latches."""
         if self.fault is not None:
             raise self.fault
         if not self._running:
             raise errors.LinkStateError("the link is not running: start it first")
         try:
-            yield
+            return action()
         except errors.LinkFault as fault:
             self.fault = fault
             self._next_sync_s = None
