@@ -180,7 +180,7 @@ class Gripper:
         if not any(self._servos.torques()):
             self._life.switched_off()
             report = self._servos.verify(correct=True, refuse=True)
-            self._check_standing()
+            _check_standing(self._standing_rows())
         else:
             if held_before:
                 self._life.torque_from_before()
@@ -676,20 +676,18 @@ class Gripper:
         positions_raw = [self.bus.read(servo_id, PRESENT_POSITION) for servo_id in self._ids]
         return standing_rows(self.settings, self._linkage, positions_raw)
 
-    def _check_standing(self) -> None:
-        """Raise VerificationFailed where a finger stands where the settings exclude it."""
-        report = VerificationReport(rows=self._standing_rows())
-        if not report.ok:
-            raise VerificationFailed(report)
-
     def _make_ready(self, *, releasing: bool = False) -> bool:
         """Prepare the servos for a command; return whether all of them were without torque."""
-        was_limp = not self._servos.goals_in_force and not any(self._servos.torques())
-        if was_limp:
-            self._check_standing()
+        limp: ServoFeedback | None = None
+        if not self._servos.goals_in_force and not any(self._servos.torques()):
+            limp = self._servos.read_patiently()
+            positions_raw = [servo.position_raw for servo in limp.servos]
+            _check_standing(standing_rows(self.settings, self._linkage, positions_raw))
             self._grasping.start_proving()
-        self._servos.make_ready(part_possible=self._life.part_possible, releasing=releasing)
-        return was_limp
+        self._servos.make_ready(
+            part_possible=self._life.part_possible, releasing=releasing, limp=limp
+        )
+        return limp is not None
 
     def _move_to(
         self, aperture_m: float, *, only_open: bool = False, first: bool = False
@@ -764,6 +762,13 @@ class Gripper:
             for servo, open_rad in zip(servos, widest_rad, strict=True)
             if servo.angle_rad > open_rad + OPENING_MARGIN_RAD
         )
+
+
+def _check_standing(rows: tuple[VerificationRow, ...]) -> None:
+    """Raise VerificationFailed where a finger stands where the settings exclude it."""
+    report = VerificationReport(rows=rows)
+    if not report.ok:
+        raise VerificationFailed(report)
 
 
 def open_gripper(

@@ -202,7 +202,9 @@ class Servos:
 
     # Torque and bus watchdog
 
-    def make_ready(self, *, part_possible: bool, releasing: bool) -> None:
+    def make_ready(
+        self, *, part_possible: bool, releasing: bool, limp: ServoFeedback | None = None
+    ) -> None:
         """Switch the torque on where it is off, arm or restart the watchdog, before a command.
 
         Goals are set to the present positions before the torque goes on and after a watchdog trip,
@@ -217,12 +219,14 @@ class Servos:
         releasing
             True when the part is to be released: then a trip is no fault. Torque that was already
             on may be switched off to correct the mode.
+        limp
+            Feedback just read, where no servo has torque.
         """
         goals_in_force = self.goals_in_force
         if releasing and not goals_in_force:
             self.make_releasable()
-        if not all(self.torques()):
-            self.restart_watchdog(self._motion_current_a(), switch_on=True)
+        if limp is not None or not all(self.torques()):
+            self.restart_watchdog(self._motion_current_a(limp), switch_on=True)
         elif not goals_in_force or self._finds_trip():
             if part_possible and not releasing:
                 raise ServoFault(
@@ -572,8 +576,9 @@ class Servos:
                 f"held part possibly dropped. Check who else writes to this servo, and its encoder"
             )
 
-    def _motion_current_a(self) -> float:
-        paths = transmissions(self._settings, self.linkage, self.read_patiently().angles_rad)
+    def _motion_current_a(self, state: ServoFeedback | None = None) -> float:
+        state = state or self.read_patiently()
+        paths = transmissions(self._settings, self.linkage, state.angles_rad)
         return max(motion_currents_a(self._settings, paths, self._settings.approach_force_n))
 
     def _check_mode(self) -> None:

@@ -5,7 +5,7 @@ winding is R i + k_e w, so that voltage and current show the speed w without the
 """
 
 from collections import deque
-from math import copysign, hypot, inf, pi
+from math import copysign, hypot, pi
 from typing import NamedTuple
 
 from gripper.dynamixel.drive import SIGMAS
@@ -192,9 +192,13 @@ class FeedbackCheck:
         """
         for index, servo in enumerate(servos):
             self._check_current(index, servo)
-            last_s, last_rad = self._last.get(servo.servo_id, (-inf, servo.angle_rad))
+            last = self._last.get(servo.servo_id)
             self._last[servo.servo_id] = (now_s, servo.angle_rad)
             self._check_turn(servo)
+            if last is None:
+                self._check_link(servo)
+                continue
+            last_s, last_rad = last
             model = self._settings.servos[index].servo_model
             passed_s = now_s - last_s
             farthest_rad = _SPEED_RESERVE * model.no_load_rad_s * passed_s + _LEAP_RAD
