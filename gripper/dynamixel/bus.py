@@ -11,7 +11,7 @@ older answer of this servo is pending.
 import struct
 import threading
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -70,8 +70,6 @@ _SLOT_S = 0.003
 """Time in s that a servo may take for its answer to a broadcast ping, for each ID."""
 _LOCK_TIMEOUT_S = 1.0
 """Longest wait in s for another thread's transaction."""
-_LOST_S = 1.0
-"""Round-trip time in s that a lost answer counts as: longer than any period."""
 _CRC_REFUSED = 3
 """Error number of a servo that received a damaged request (e-Manual, "Error": CRC)."""
 _HEARD_BYTES = 16
@@ -327,10 +325,8 @@ class ServoBus:
             self.sync_write({servo_id: (ANSWERS_ALL,)}, RegisterBlock(STATUS_RETURN_LEVEL))
 
     def round_trip_s(self, servo_id: int) -> float:
-        """Return the round-trip time of a ping in s, also for a late answer; 1 s for a lost one."""
-        with suppress(BusTimeout, BusCorrupt):
-            return self._ask_once(_ping_request(servo_id), patient=True)[1]
-        return _LOST_S
+        """Return the round-trip time of a ping in s, also for a late answer."""
+        return self._ask_once(_ping_request(servo_id), patient=True)[1]
 
     def read(self, servo_id: int, register: Register) -> int:
         """Return the raw value of an item, sign-extended."""
@@ -437,10 +433,9 @@ class ServoBus:
         BusCorrupt
             When the line never becomes quiet.
         """
-        return _Transaction(self, quiet)
+        return _Transaction(self._begin, self._end, quiet)
 
-    def begin(self, *, quiet: bool) -> None:
-        """Begin a transaction, as `exclusive`."""
+    def _begin(self, quiet: bool) -> None:
         if not self._lock.acquire(timeout=_LOCK_TIMEOUT_S):
             raise BusBusy(f"another thread holds the servo bus for more than {_LOCK_TIMEOUT_S} s")
         try:
@@ -452,11 +447,10 @@ class ServoBus:
             elif self._suspect and self._clock.monotonic() - self._suspect_since_s > _LATE_GUARD_S:
                 self._mark_clean()
         except BaseException:
-            self.end()
+            self._end()
             raise
 
-    def end(self) -> None:
-        """End a transaction."""
+    def _end(self) -> None:
         self.port.is_using = False
         self._lock.release()
 
@@ -662,14 +656,14 @@ class ServoBus:
 class _Transaction:
     """The line, held; a class, because a generator takes longer in each period."""
 
-    def __init__(self, bus: ServoBus, quiet: bool) -> None:
-        self._bus, self._quiet = bus, quiet
+    def __init__(self, begin: Callable[[bool], None], end: Callable[[], None], quiet: bool) -> None:
+        self._begin, self._end, self._quiet = begin, end, quiet
 
     def __enter__(self) -> None:
-        self._bus.begin(quiet=self._quiet)
+        self._begin(self._quiet)
 
     def __exit__(self, *_error: object) -> None:
-        self._bus.end()
+        self._end()
 
 
 class _InLoop:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from statistics import median
 from typing import TYPE_CHECKING
 
-from gripper.errors import LinkTooSlow
+from gripper.errors import BusCorrupt, BusTimeout, LinkTooSlow
 
 if TYPE_CHECKING:
     from gripper.dynamixel.bus import ServoBus
@@ -22,6 +22,8 @@ _WORK_SHARE = 0.8
 """Share of a period that reading and writing may take; the rest is for control and lateness."""
 _SLOW_SHARE = 0.25
 """Share of the answers that may be lost or take longer than a period."""
+_LOST_S = 1.0
+"""Time in s that a lost answer counts as: longer than any period."""
 _HIGH_QUANTILE = 0.9
 """Quantile of the round trips that the time-outs are fitted to."""
 _ALLOWANCE_REACH = 2.0
@@ -59,7 +61,7 @@ def check_link(bus: "ServoBus", ids: Sequence[int], period_s: float) -> float:
     bus
         The servos; no command may run.
     """
-    trips_s = sorted(bus.round_trip_s(servo_id) for _ in range(_ROUNDS) for servo_id in ids)
+    trips_s = sorted(_trip_s(bus, servo_id) for _ in range(_ROUNDS) for servo_id in ids)
     typical_s = median(trips_s)
     high_s = trips_s[int(_HIGH_QUANTILE * (len(trips_s) - 1))]
     waiting_s = max(0.0, typical_s - _PING_BYTES * 10.0 / bus.baudrate)
@@ -85,3 +87,10 @@ def check_link(bus: "ServoBus", ids: Sequence[int], period_s: float) -> float:
     fitted_s = min(_ALLOWANCE_REACH * high_s, _ALLOWANCE_SHARE * period_s)
     bus.port.allowance_s = max(bus.port.least_allowance_s, fitted_s)
     return typical_s
+
+
+def _trip_s(bus: "ServoBus", servo_id: int) -> float:
+    try:
+        return bus.round_trip_s(servo_id)
+    except (BusTimeout, BusCorrupt):
+        return _LOST_S

@@ -2,8 +2,8 @@
 
 Force samples alone do not decide: a control unit with zero messages would let a held part go.
 Another measurement must confirm them: fingers that run together, or a newer whole frame. If a frame
-still shows load, or the motors press and the fingers stand, the measurements contradict each other:
-this is a fault, and the grip is kept.
+still shows load, or the motors press and the fingers do not run, the measurements contradict each
+other: this is a fault, and the grip is kept.
 """
 
 from collections import deque
