@@ -33,12 +33,9 @@ def _watched(work: Callable[[], _Result]) -> tuple[_Result, float, list[float]]:
     return result, took_s, [resource.getrusage(one).ru_maxrss * 1024e-9 for one in who]
 
 
-def share(n_hits: int, n: int, *, times: int = 1) -> str:
-    """Return a share in per cent with Wilson's 95 % interval as text.
-
-    Where each trial was made several ``times``, it counts as one for the interval.
-    """
-    low, high = wilson_interval(n_hits // times, n // times)
+def share(n_hits: int, n: int, interval: tuple[float, float] | None = None) -> str:
+    """Return a share in per cent as text with its 95 % interval, without one with Wilson's."""
+    low, high = interval or wilson_interval(n_hits, n)
     return f"{100 * n_hits / max(1, n):.1f} % ({100 * low:.1f} to {100 * high:.1f})"
 
 

@@ -18,6 +18,7 @@ from cell.config.model import CellConfig
 from cell.recording.dataset import read_dataset
 from cell.runtime.tasks import Collection
 from cell.simulation import simulator_settings
+from recognition.evaluation.metrics import interval_by_object
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Recognizer
 from simulator.world.shapes import PAPER_OBJECTS
@@ -85,11 +86,19 @@ def asked(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[JudgedAnswer]
     return [JudgedAnswer(truth, truth in p.labels, p.best, p.name) for truth, p in posteriors]
 
 
-def figures(answers: Sequence[JudgedAnswer], *, times: int = 1) -> str:
+def figures(answers: Sequence[JudgedAnswer], groups: Sequence[object] | None = None) -> str:
     """Return the shares of right, wrong and missing names, of taught objects and of new ones.
 
-    Each grasp was answered several ``times``: for the intervals it counts as one.
+    With a group of each answer, the intervals are those of a bootstrap of the groups.
     """
+
+    def text(kind: str, hits: Sequence[bool], taught: bool) -> str:
+        among = [
+            group for one, group in zip(answers, groups or (), strict=False) if one.taught is taught
+        ]
+        interval = interval_by_object(hits, list(map(str, among))) if among else None
+        return f"{kind} {share(sum(hits), len(hits), interval)}"
+
     known = [one for one in answers if one.taught]
     new = [one.name == UNKNOWN for one in answers if not one.taught]
     kinds = {
@@ -98,6 +107,6 @@ def figures(answers: Sequence[JudgedAnswer], *, times: int = 1) -> str:
         "wrong": [one.name not in (one.truth, UNKNOWN) for one in known],
         "UNKNOWN": [one.name == UNKNOWN for one in known],
     }
-    texts = [f"{kind} {share(sum(hits), len(hits), times=times)}" for kind, hits in kinds.items()]
-    text = f"{', '.join(texts)} of {len(known) // times}"
-    return text + (f"; new UNKNOWN {share(sum(new), len(new))} of {len(new)}" if new else "")
+    texts = [text(kind, hits, True) for kind, hits in kinds.items()]
+    unknown = f"; {text('new UNKNOWN', new, False)} of {len(new)}" if new else ""
+    return f"{', '.join(texts)} of {len(known)}{unknown}"

@@ -7,7 +7,8 @@ grasps of one object on the other cell, once for each object. Objects never taug
 there, too.
 
 Further cells are drawn at random: foam, gains and tilt of the pads, mounts of the servos. Each
-measures its own zero once.
+measures its own zero once. The first cell is taught ten times for them: their intervals are those
+of a bootstrap of the teachings, which differ more than the grasps.
 
 The cell that taught also names grasps of slower and faster ramps. Another one is taught with slow
 ramps and names fast ones.
@@ -29,7 +30,7 @@ from cell.learning.training import GAUGE_GRASPS
 from gripper.errors import GripperError
 from recognition.evaluation.splits import a_day_later
 from recognition.grasp import Grasp
-from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
+from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer, ForceRampTrainer
 from simulator.servo.mechanics import ServoMount
 from simulator.settings import SimulatedServoSettings
 from simulator.world.foam import Foam
@@ -74,6 +75,8 @@ OTHER = {
 """Settings of the other cell."""
 DRAWN = range(100, 120)
 """Seeds of cells drawn at random, which chose nothing."""
+TEACHINGS = range(80, 89)
+"""Seeds of further teachings of the same objects."""
 RATES_N_S = {5.0: 0.3, 20.0: 0.1, 40.0: 0.05}
 """Rates of the ramps in N/s, and how long each is held in s."""
 _ZEROED = {"self_zero": "always"}
@@ -104,27 +107,59 @@ def main(effort: float = 1.0) -> None:
         answers += asked(day, [test[i]])
         day = day.follow(test[i])
     line("  followed", figures(answers + asked(day, new)))
-    every = []
+    every, groups = [], []
     for label in taught_objects:
         gauge = [grasp for grasp in untold if grasp.label == label][:GAUGE_GRASPS]
         others = [grasp for grasp in untold if not any(grasp is one for one in gauge)]
         answers = asked(taught.gauge(label, gauge), others)
-        every += [one for one in answers if one.taught]
+        every += answers
+        groups += [grasp.start_ms for grasp in others]
         line(f"  gauged by {label}", figures(answers))
-    line("  gauged, all together", figures(every, times=len(taught_objects)))
+    line("  gauged, all together", figures(every, groups))
+    drawn_cells(taught, taught_objects, new_objects, n, effort)
+    rates(taught_objects, n)
+
+
+def drawn_cells(
+    taught: ForceRampRecognizer,
+    taught_objects: Mapping[str, str],
+    new_objects: Mapping[str, str],
+    n_grasps: int,
+    effort: float,
+) -> None:
+    """Print how cells drawn at random are named by each of several teachings."""
     seeds = DRAWN[: repeats(len(DRAWN), effort)]
-    there = partial(_drawn_grasps, taught_objects | new_objects, max(n // 4, 2))
-    drawn = []
+    teach = partial(_teaching, taught_objects, n_grasps)
+    there = partial(_drawn_grasps, taught_objects | new_objects, max(n_grasps // 4, 2))
+    drawn, teachings = dict[int, list[Grasp]](), [taught]
     with ProcessPoolExecutor() as workers:
         for seed, grasps in zip(seeds, workers.map(there, seeds), strict=True):
-            what = f"  drawn cell, {1e-3 * drawn_cell(seed)['foam'].modulus_pa:.0f} kPa"
             if isinstance(grasps, str):
-                line(what, f"ended with a fault: {grasps}")
-                continue
-            drawn += (answers := asked(taught, [a_day_later(grasp) for grasp in grasps]))
-            line(what, figures(answers))
-    line("  drawn cells, all together", figures(drawn))
-    rates(taught_objects, n)
+                line(f"  drawn cell {seed}", f"ended with a fault: {grasps}")
+            else:
+                drawn[seed] = [a_day_later(grasp) for grasp in grasps]
+        teachings += workers.map(teach, TEACHINGS[: repeats(len(TEACHINGS), effort)])
+    answers = [
+        (number, seed, answer)
+        for number, recognizer in enumerate(teachings, start=1)
+        for seed, grasps in drawn.items()
+        for answer in asked(recognizer, grasps)
+    ]
+    for seed in drawn:
+        here = [(number, answer) for number, cell, answer in answers if cell == seed]
+        what = f"  drawn cell, {1e-3 * drawn_cell(seed)['foam'].modulus_pa:.0f} kPa"
+        line(what, figures([answer for _, answer in here], [number for number, _ in here]))
+    for teaching in range(1, 1 + len(teachings)):
+        here = [(seed, answer) for number, seed, answer in answers if number == teaching]
+        what = f"  drawn cells, teaching {teaching}"
+        line(what, figures([answer for _, answer in here], [seed for seed, _ in here]))
+    every, groups = [answer for *_, answer in answers], [number for number, *_ in answers]
+    line("  drawn cells, all together", figures(every, groups))
+
+
+def _teaching(objects: Mapping[str, str], n_grasps: int, seed: int) -> ForceRampRecognizer:
+    """Return a recognizer taught on the first cell."""
+    return ForceRampTrainer().fit(zeroed_grasps(objects, n_grasps, seed=seed))
 
 
 def _drawn_grasps(objects: Mapping[str, str], n_grasps: int, seed: int) -> list[Grasp] | str:

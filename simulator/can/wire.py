@@ -55,7 +55,8 @@ class CanWire:
     def __init__(self, bitrate: int) -> None:
         self._bit_s = 1.0 / bitrate
         self._free_s = -math.inf
-        self._queues: dict[int, deque[WireMessage]] = {}
+        self._queues: dict[int, deque[tuple[float, WireMessage]]] = {}
+        """Messages that wait, each after its duration on the wire in s."""
 
     @property
     def n_waiting(self) -> int:
@@ -65,7 +66,8 @@ class CanWire:
     def put(self, message: WireMessage) -> None:
         """Let a message wait from its ``ready_s`` on."""
         key = -1 if message.from_host else message.can_id
-        self._queues.setdefault(key, deque()).append(message)
+        waiting = mean_bits(message.data) * self._bit_s, message
+        self._queues.setdefault(key, deque()).append(waiting)
 
     def next_end_s(self) -> float:
         """Return when the next message will be through, in s; infinity if none waits."""
@@ -73,10 +75,13 @@ class CanWire:
 
     def _next(self) -> tuple[float, int]:
         """Return when the next message will be through, in s, and its queue."""
-        ready_s = [(queue[0].ready_s, key) for key, queue in self._queues.items()]
-        start_s = max(self._free_s, min(ready_s)[0])
-        key = min(key for at_s, key in ready_s if at_s <= start_s)
-        return start_s + mean_bits(self._queues[key][0].data) * self._bit_s, key
+        key, *others = self._queues
+        start_s = max(self._free_s, self._queues[key][0][1].ready_s)
+        if others:
+            ready_s = [(queue[0][1].ready_s, key) for key, queue in self._queues.items()]
+            start_s = max(self._free_s, min(ready_s)[0])
+            key = min(key for at_s, key in ready_s if at_s <= start_s)
+        return start_s + self._queues[key][0][0], key
 
     def take(self, now_s: float) -> Iterator[tuple[float, WireMessage]]:
         """Yield each message that is through until ``now_s`` s, and its end in s."""
@@ -85,8 +90,9 @@ class CanWire:
             if end_s > now_s:
                 return
             self._free_s = end_s
-            message = self._queues[key].popleft()
-            if not self._queues[key]:
+            queue = self._queues[key]
+            message = queue.popleft()[1]
+            if not queue:
                 del self._queues[key]
             yield end_s, message
 
@@ -95,10 +101,8 @@ class CanWire:
 
         So it is if no other one that goes before it joins those that wait; ``ready_s`` at least.
         """
-        bits = sum(
-            mean_bits(message.data)
-            for key, queue in self._queues.items()
-            if key <= can_id
-            for message in queue
-        )
-        return max(self._free_s, ready_s) + bits * self._bit_s
+        busy_s = 0.0
+        for key, queue in self._queues.items():
+            if key <= can_id:
+                busy_s += sum(duration_s for duration_s, _ in queue)
+        return max(self._free_s, ready_s) + busy_s

@@ -84,7 +84,7 @@ def test_results_that_should_be_equal_end_it_where_they_are_not() -> None:
 
 def test_a_share_has_the_interval_of_its_trials() -> None:
     assert share(336, 342) == "98.2 % (96.2 to 99.2)"
-    assert share(3 * 10, 3 * 20, times=3) == "50.0 % (29.9 to 70.1)"
+    assert share(10, 20, (0.25, 1.0)) == "50.0 % (25.0 to 100.0)"
     assert share(0, 0) == "0.0 % (0.0 to 100.0)"
 
 
