@@ -1,5 +1,6 @@
 """The recorder: writes all data and actions of a sequence into MCAP files."""
 
+import functools
 import itertools
 import time
 from collections.abc import Callable, Mapping
@@ -29,6 +30,13 @@ CHUNK_BYTES = 64 << 10
 """Size of a chunk in bytes before compression: the largest loss of a killed program."""
 
 
+@functools.cache
+def _described(topic: str) -> tuple[str, str, bytes]:
+    """Return name, encoding and content of the schema of a topic."""
+    content = schema.json_schema(topic)
+    return content["title"], "jsonschema", schema.to_json(content)
+
+
 class MessageWriter:
     """Writes messages after a description of the recording and their schemas."""
 
@@ -44,10 +52,7 @@ class MessageWriter:
         described = {**entries, "crc32": schema.metadata_crc32(entries)}
         self._writer.add_metadata(schema.METADATA, described)
         for topic in schema.MODELS:
-            content = schema.json_schema(topic)
-            number = self._writer.register_schema(
-                content["title"], "jsonschema", schema.to_json(content)
-            )
+            number = self._writer.register_schema(*_described(topic))
             self._channels[topic] = self._writer.register_channel(topic, "json", number)
 
     def add(self, topic: str, t_s: float, data: bytes) -> None:

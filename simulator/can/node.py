@@ -85,6 +85,12 @@ class DeviceNetwork(canopen.Network):
             self.next_due_s += self._period_s
 
 
+_SPECIFIER_BITS = 0xE0
+"""Command specifier in the first byte of an SDO request (CiA 301)."""
+_UPLOADS = (sdo.REQUEST_UPLOAD, sdo.REQUEST_SEGMENT_UPLOAD)
+"""Specifiers of requests that change no object."""
+
+
 class CanopenDevice(ABC):
     """A device on canopen's LocalNode, which serves SDO and makes heartbeat, boot-up and EMCY.
 
@@ -157,7 +163,8 @@ class CanopenDevice(ABC):
             code = sdo.ABORT_INVALID_COMMAND_SPECIFIER
             abort = _ABORT.pack(sdo.RESPONSE_ABORTED, index, subindex, code)
             self._network.send_message(server.tx_cobid, abort)
-        self._changed()
+        if request[0] & _SPECIFIER_BITS not in _UPLOADS:
+            self._changed()
 
     @abstractmethod
     def _take(self, can_id: int, data: bytes) -> None:
