@@ -78,7 +78,7 @@ def prove_watchdog(servos: Servos, clock: Clock) -> None:
     tripped = [servos.has_tripped(servo.servo_id) for servo in settings.servos]
     servos.restart_watchdog(max(currents_a))
     farthest_rad = _FARTHEST_SHARE * speed_rad_s * settings.watchdog_s
-    unproven = []
+    unproven, blocked = [], True
     for index, servo in enumerate(settings.servos):
         pulse_rad = servo.servo_model.rad_per_pulse
         moved = _pulses(before, stopped, index)
@@ -87,6 +87,7 @@ def prove_watchdog(servos: Servos, clock: Clock) -> None:
         left = round((later.servos[index].angle_rad - goals_rad[index]) / pulse_rad)
         stood = left >= _LEAST_PULSES and after <= _STILL_PULSES
         if not (tripped[index] and _LEAST_PULSES <= moved <= farthest and stood):
+            blocked &= tripped[index] and moved < _LEAST_PULSES and stood
             unproven.append(
                 f"servo {servo.servo_id}: register 98 "
                 f"{'tripped' if tripped[index] else 'did not trip'}, {moved} pulses in the silence "
@@ -94,10 +95,15 @@ def prove_watchdog(servos: Servos, clock: Clock) -> None:
                 f"goal"
             )
     if unproven:
+        advice = (
+            "The fingers stood before the silence: take out what lies between them, or free them, "
+            "then clear the fault, release and start"
+            if blocked
+            else "Do not run this gripper unattended; update the firmware or replace the servo, or "
+            "switch watchdog_self_test off to work attended"
+        )
         raise WatchdogUnproven(
-            f"the bus watchdog is not proven to stop the motors: {'; '.join(unproven)}. Do not run "
-            "this gripper unattended; update the firmware or replace the servo, or switch "
-            "watchdog_self_test off to work attended"
+            f"the bus watchdog is not proven to stop the motors: {'; '.join(unproven)}. {advice}"
         )
 
 

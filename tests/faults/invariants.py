@@ -226,10 +226,16 @@ class InvariantMonitor:
         self._pushed_s = self._simulated.clock.monotonic()
 
     def _world_pushes(self, now_s: float) -> bool:
-        """Return whether something trapped presses, or has just gone and let the fingers fall."""
+        """Return whether something trapped presses, or has just gone and let the fingers fall.
+
+        A horn that has just slipped sends its finger to the goal from elsewhere.
+        """
         for fault in self._simulated.injector.faults:
-            if fault.entry.name == "object.trapped" and fault.began_s is not None:
+            began_s = fault.began_s
+            if began_s is not None and fault.entry.name == "object.trapped":
                 self._pushed_s = now_s
+            elif began_s is not None and fault.entry.name == "servoN.horn":
+                self._pushed_s = max(self._pushed_s, began_s)
         return self.world_pushes or now_s - self._pushed_s < _FALL_S
 
     def _look_at_opening(self, force_n: float) -> None:
