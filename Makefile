@@ -10,8 +10,6 @@ PYTEST_ARGS ?=
 # Byte code is kept between runs: to compile all tests again takes seconds.
 PYTEST = env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest
 TESTS = $(PYTEST) -n auto --dist worksteal $(PYTEST_ARGS)
-# Tests that fail run once more: another program may have taken the processors for a moment.
-REAL_TIME = $(PYTEST) -m "real_time and not long" $(PYTEST_ARGS)
 # Processor time of all tests of a change in s, and 10 %, on a slow machine; more fails the run.
 TEST_BUDGET_S := 520
 
@@ -33,7 +31,7 @@ test-long: $(DEV)  ## the long tests: each row of the campaign, studies, the pap
 	$(TESTS) -m "long and not real_time"
 
 test-real-time: $(DEV)  ## tests that measure times of real processes, one after the other: for a quiet machine
-	$(REAL_TIME) || { code=$$?; [ $$code -eq 1 ] || exit $$code; uptime; $(REAL_TIME) --last-failed; }
+	$(PYTEST) -m "real_time and not long" $(PYTEST_ARGS)
 
 mutants: $(DEV)  ## 60 random changes of the code, and which of them the tests find; N=100 for more, SEED=2 for others
 	$(INSTALL) '.[mutants]'

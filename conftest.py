@@ -9,9 +9,11 @@ What runs in real time asks for `free_machine`.
 import datetime
 import os
 import sys
+import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import ExitStack, suppress
+from pathlib import Path
 
 import pytest
 
@@ -35,6 +37,8 @@ pytest_plugins = [
 _LOAD_BEFORE = os.getloadavg()[0]
 """Load of the machine before these tests."""
 _LOAD_MARGIN = 0.5
+_WAITED_SHARE = 0.5
+"""Share of the time of a test in which processes waited for a processor; more is no fair test."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -68,6 +72,42 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     rest = {item for item in items if zlib.crc32(item.nodeid.encode()) % n_days != today}
     items[:] = [item for item in items if item not in rest]
     config.hook.pytest_deselected(items=list(rest))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item: pytest.Item) -> Generator[None]:
+    """Skip a test in real time that fails while other programs use up the processors."""
+    return (yield from _judged(item))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None]:
+    """Skip a test in real time that fails while other programs use up the processors."""
+    return (yield from _judged(item))
+
+
+def _judged(item: pytest.Item) -> Generator[None]:
+    if item.get_closest_marker("real_time") is None:
+        return (yield)
+    began_s, before_s = time.monotonic(), _waited_s()
+    try:
+        return (yield)
+    except Exception as error:
+        share = (_waited_s() - before_s) / (time.monotonic() - began_s)
+        if share <= _WAITED_SHARE:
+            raise
+        raise pytest.skip.Exception(
+            f"processes waited for a processor in {share:.0%} of its time: {error!r:.300}"
+        ) from error
+
+
+def _waited_s() -> float:
+    """Return the time in s in which some process waited for a processor (Linux, PSI); else 0."""
+    with suppress(OSError):
+        return 1e-6 * float(
+            Path("/proc/pressure/cpu").read_text().partition("total=")[2].split()[0]
+        )
+    return 0.0
 
 
 @pytest.fixture(scope="session")
