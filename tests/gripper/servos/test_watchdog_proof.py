@@ -65,7 +65,7 @@ def test_a_watchdog_that_never_trips_is_found(make_cell, monkeypatch) -> None:
 def test_a_part_that_blocks_the_test_is_named_and_no_servo_is_blamed(make_cell) -> None:
     cell = make_cell(watchdog_self_test=True, width_m=0.0195)
     cell.gripper.start()
-    with pytest.raises(WatchdogUnproven, match=r"servo 1: .* servo 2: .* take out what lies") as bad:
+    with pytest.raises(WatchdogUnproven, match=r"servo 1: .* servo 2: .* take out") as bad:
         cell.gripper.open(0.02)
     assert "firmware" not in str(bad.value)
 
