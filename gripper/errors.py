@@ -156,6 +156,10 @@ class WatchdogUnproven(GripperError):
     """The self-test of the bus watchdog failed: it does not stop a motor."""
 
 
+class FingerBlocked(GripperError):
+    """A finger without a part in its grip does not arrive: what stops it may now be held."""
+
+
 class GraspStopped(GripperError):
     """The running command was stopped by ``request_stop``; the fingers stand still."""
 

@@ -260,6 +260,8 @@ class Gripper:
             When the settings exclude the motion of the fingers; they have no torque then.
         WatchdogUnproven
             When the bus watchdog does not stop the motors.
+        FingerBlocked
+            When a finger does not arrive. What stops it may be held: `release` is the next step.
         GripperStateError
             While a part may be held: call `release`.
         """

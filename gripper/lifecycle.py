@@ -9,6 +9,7 @@ from gripper.errors import (
     BusCorrupt,
     BusTimeout,
     FeedbackImplausible,
+    FingerBlocked,
     FingerSilent,
     ForceAboveCap,
     GraspStopped,
@@ -181,6 +182,7 @@ class Lifecycle:
     def latch(self, error: BaseException) -> None:
         """Latch an error as a fault, and keep the grip."""
         self.fault = error
+        self.part_possible |= isinstance(error, FingerBlocked)
         phase, self.phase = self.phase, GripperPhase.HELD_AFTER_FAULT
         left = FingersLeft.UNCONFIRMED
         # The raised error names the cause; a bus that fails again adds nothing.

@@ -8,7 +8,7 @@ until the watchdog must have tripped, and the positions are compared.
 from collections.abc import Sequence
 
 from gripper.clock import Clock
-from gripper.errors import LimitExceeded, WatchdogUnproven
+from gripper.errors import FingerBlocked, LimitExceeded, WatchdogUnproven
 from gripper.mechanics.impact import closing_current_max_a
 from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
 from gripper.servos.goal_limits import ServoGoal
@@ -48,8 +48,9 @@ def prove_watchdog(servos: Servos, clock: Clock) -> None:
 
     The torque is on and the watchdog armed before and after it. The motion is a profile of 0.1
     rad/s, slower where the watchdog takes longer than 0.1 s. It lasts for its start and three times
-    ``watchdog_s``. Raises WatchdogUnproven when a servo did not stop, did not trip or did not move.
-    Raises LimitExceeded as `proof_travel_m` does.
+    ``watchdog_s``. Raises WatchdogUnproven when a servo did not stop or did not trip, and
+    FingerBlocked when they did, but something held the fingers. Raises LimitExceeded as
+    `proof_travel_m` does.
     """
     settings, linkage, begin = servos.settings, servos.linkage, servos.read()
     speed_rad_s, goals_rad = _motion(settings, linkage, begin.angles_rad)
@@ -94,16 +95,17 @@ def prove_watchdog(servos: Servos, clock: Clock) -> None:
                 f"({_LEAST_PULSES} to {farthest} expected), {after} after it, {left} short of its "
                 f"goal"
             )
-    if unproven:
-        advice = (
-            "The fingers stood before the silence: take out what lies between them, or free them, "
-            "then clear the fault, release and start"
-            if blocked
-            else "Do not run this gripper unattended; update the firmware or replace the servo, or "
-            "switch watchdog_self_test off to work attended"
+    found = "; ".join(unproven)
+    if unproven and blocked:
+        raise FingerBlocked(
+            f"the fingers stood before the bus watchdog could be tested: {found}. Take out what "
+            "lies between them, or free them, then clear the fault, release and start"
         )
+    if unproven:
         raise WatchdogUnproven(
-            f"the bus watchdog is not proven to stop the motors: {'; '.join(unproven)}. {advice}"
+            f"the bus watchdog is not proven to stop the motors: {found}. Do not run this gripper "
+            "unattended; update the firmware or replace the servo, or switch watchdog_self_test "
+            "off to work attended"
         )
 
 

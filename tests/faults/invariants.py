@@ -241,9 +241,11 @@ class InvariantMonitor:
     def _look_at_opening(self, force_n: float) -> None:
         """Judge that fingers which begin to open by themselves have found the part, or hold none.
 
-        What is judged is the world: what the cell has measured may be wrong.
+        What is judged is the world: what the cell has measured may be wrong. Fingers without torque
+        hold nothing.
         """
-        if self._asked or self._cell is None or force_n < self._contact_force_n:
+        free = self._asked or not all(self._torque)
+        if free or self._cell is None or force_n < self._contact_force_n:
             return
         if not self._cell.local_hand.gripper._life.part_possible:
             self._break(f"the fingers open by themselves on a part pressed with {force_n:.2f} N")

@@ -240,7 +240,9 @@ COMMAND_BOUND_S = 40.0
 80 degrees closes at 0.06 rad/s, the limit of its impact: that takes 25 s."""
 _REMOUNTED = ("servoN.jump", "servoN.horn", "servoN.turned")
 """Faults whose end sends a finger to its goal from elsewhere: the world moves it, not the cell."""
-_UNTRUSTED = ("object.trapped", "servoN.jump", "servoN.stuck", "servoN.turn", "servoN.drift")
+_UNTRUSTED = frozenset(
+    {"object.trapped"} | {f"servoN.{name}" for name in ("jump", "stuck", "turn", "drift", "horn")}
+)
 """Faults after which position or force are not known: the torque may go off."""
 
 

@@ -17,6 +17,7 @@ from gripper.errors import (
     BusCorrupt,
     BusTimeout,
     FeedbackImplausible,
+    FingerBlocked,
     FingerSilent,
     ForceAboveCap,
     ForceSensorStale,
@@ -200,8 +201,10 @@ def test_a_stuck_finger_is_reported(started) -> None:
     started.gripper.open(0.025)
     for motor in started.motors:
         motor.friction_factor = 50.0
-    with pytest.raises(ServoFault, match=r"stuck.*gripper.linkage"):
+    with pytest.raises(FingerBlocked, match=r"stuck.*gripper.linkage"):
         started.gripper.open()
+    started.gripper.clear_fault()
+    assert started.gripper.phase is GripperPhase.HELD_AFTER_FAULT
 
 
 @pytest.mark.slow

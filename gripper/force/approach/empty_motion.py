@@ -4,9 +4,9 @@ from math import inf
 
 from gripper.errors import (
     FeedbackImplausible,
+    FingerBlocked,
     MechanicsContradicted,
     PositionContradicted,
-    ServoFault,
 )
 from gripper.force.approach.mechanics_proof import mechanics_text
 from gripper.force.loop import Action, Moment
@@ -184,7 +184,7 @@ class MoveTo:
         ------
         PositionContradicted
             When the force on the pads grows although the fingers only open.
-        ServoFault
+        FingerBlocked
             When a finger does not arrive in time.
         """
         pressed = self._rise.growth(moment) if self._only_open else ""
@@ -211,12 +211,11 @@ class MoveTo:
         arrived = all(finger.there for finger in self._fingers)
         if not arrived and moment.now_s > self._deadline_s:
             slowest = next(finger for finger in self._fingers if not finger.there)
-            raise ServoFault(
-                slowest.servo.servo_id,
-                f"its finger is stuck: the gripper stands at "
+            raise FingerBlocked(
+                f"servo {slowest.servo.servo_id}: its finger is stuck: the gripper stands at "
                 f"{moment.state.aperture_m * 1e3:.1f} mm on its way to "
                 f"{self._aperture_m * 1e3:.1f} mm; if nothing blocks it, check "
-                f"{mechanics_text(self._settings, self._linkage)}",
+                f"{mechanics_text(self._settings, self._linkage)}"
             )
         return Action(goals=goals, done=arrived)
 

@@ -2,7 +2,12 @@
 
 import pytest
 
-from gripper.errors import GripperStateError, LimitExceeded, WatchdogUnproven
+from gripper.errors import (
+    FingerBlocked,
+    GripperStateError,
+    LimitExceeded,
+    WatchdogUnproven,
+)
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
@@ -62,12 +67,14 @@ def test_a_watchdog_that_never_trips_is_found(make_cell, monkeypatch) -> None:
         cell.gripper.open()
 
 
-def test_a_part_that_blocks_the_test_is_named_and_no_servo_is_blamed(make_cell) -> None:
+def test_a_part_that_blocks_the_test_is_named_and_kept(make_cell) -> None:
     cell = make_cell(watchdog_self_test=True, width_m=0.0195)
     cell.gripper.start()
-    with pytest.raises(WatchdogUnproven, match=r"servo 1: .* servo 2: .* take out") as bad:
+    with pytest.raises(FingerBlocked, match=r"servo 1: .* servo 2: .* Take out"):
         cell.gripper.open(0.02)
-    assert "firmware" not in str(bad.value)
+    cell.gripper.clear_fault()
+    with pytest.raises(GripperStateError, match="release the part first"):
+        cell.gripper.open()
 
 
 def test_it_is_off_unless_asked_for_and_refuses_a_long_way(make_cell) -> None:
