@@ -442,65 +442,21 @@ def drifts_between_grasps(row: FaultRow) -> Observed:
 # -- The host program: a slow loop, errors in its code, the wall clock -----------------------------
 
 
-_RATE_N_S = 10.0
-"""Rate of the campaign's ramp."""
-_BEYOND_N = 1.0
-"""Force beyond its set-point that a gripper may have when its loop stands still: a push of one
-period then lasts as long. It exceeds the friction in motion, 1.5 N, by half: the stiction."""
-
-
-class _HeldUp:
-    """Holds up the force loop in the ramp, and looks whether it catches up afterwards."""
-
-    def __init__(self, cell: CampaignCell, stall_s: float, times: int) -> None:
-        self._cell = cell
-        self._stall_s = stall_s
-        self._left = times
-        self._late = 0
-        self._setpoint_n = 0.0
-        self._add = GraspCollector.add
-        self.ended_s: float | None = None
-        self.began_s: float | None = None
-        self.noted_s: float | None = None
-        self.worst_step_n = self.worst_beyond_n = 0.0
-
-    def add(self, collector: GraspCollector, cycle: Any, frames: Any) -> None:
-        self._add(collector, cycle, frames)
-        if self._setpoint_n > 0.0:
-            self.worst_step_n = max(self.worst_step_n, cycle.setpoint_n - self._setpoint_n)
-        self._setpoint_n = cycle.setpoint_n
-        late = self._cell.controller.hand.statistics.loop.late
-        if self.began_s is not None and self.noted_s is None and late > self._late:
-            self.noted_s = self._cell.now_s
-        if cycle.setpoint_n > 2.0 and self._left:
-            if self.began_s is None:
-                self.began_s, self._late = self._cell.now_s, late
-            self._left -= 1
-            self._cell.simulated.clock.sleep(self._stall_s)
-            force_n = max(self._cell.simulated.world.contact_force_n())
-            self.worst_beyond_n = max(self.worst_beyond_n, force_n - cycle.setpoint_n)
-            self.ended_s = self.ended_s or self._cell.now_s
-
-
 def loop_held_up(row: FaultRow, *, stall_s: float, times: int = 1) -> Observed:
     """Hold up the force loop of a grasp for so long, in so many periods in a row."""
-    with campaign_cell(row.changes) as cell:
-        held_up = _HeldUp(cell, stall_s, times)
-        with mock.patch.object(GraspCollector, "add", autospec=True, side_effect=held_up.add):
-            seen = observe(cell)
-        assert held_up.began_s is not None
-        assert held_up.ended_s is not None
-        step_n, beyond_n = held_up.worst_step_n, held_up.worst_beyond_n
-        told = f"{seen.outcome}; set-point {step_n:.2f} N a step, {beyond_n:.2f} N beyond it"
-        if step_n > _RATE_N_S * 2.0 * cell.controller.hand.period_s + 1e-9:
-            return Observed("CATCHES UP", None, told)
-        if beyond_n > _BEYOND_N:
-            return Observed("RAMP GOES ON", None, told)
-        if seen.reaction == "NOTHING" and held_up.noted_s is not None:
-            return Observed("NOTE", held_up.noted_s - held_up.ended_s, told)
+    add, stalls_s = GraspCollector.add, list[float]()
+
+    def held_up(collector: GraspCollector, cycle: Any, frames: Any) -> None:
+        add(collector, cycle, frames)
+        if cycle.setpoint_n > 2.0 and len(stalls_s) < times:
+            stalls_s.append(cell.now_s)
+            cell.simulated.clock.sleep(stall_s)
+
+    with campaign_cell(row.changes) as cell, mock.patch.object(GraspCollector, "add", held_up):
+        seen = observe(cell)
         latched_s = cell.monitor.latched_s
-        after_s = None if latched_s is None else latched_s - held_up.began_s
-        return Observed(seen.reaction, after_s, told)
+        after_s = None if latched_s is None else latched_s - stalls_s[0]
+        return replace(seen, detected_after_s=after_s)
 
 
 def error_in_the_loop(row: FaultRow) -> Observed:

@@ -101,7 +101,8 @@ class InvariantMonitor:
         self.latched_s: float | None = None
         """When a fault was latched first since `watch_from`, in s; None before."""
         self.noted_s: float | None = None
-        """When a counter of the links moved first since `watch_from`, in s; None before."""
+        """When a counter of the links moved first since `watch_from`, in s; None before, and
+        where a fault was latched first."""
         self.states: set[CellState] = set()
         """States of the cell that were seen since `watch_from`."""
         self.world_pushes = False
@@ -350,7 +351,8 @@ class InvariantMonitor:
         self.states.add(controller.life.state)
         if self.latched_s is None and controller.life.fault is not None:
             self.latched_s = now_s
-        if self.noted_s is not None or not self._counters or self._cell is None:
+        known = self.noted_s is not None or self.latched_s is not None
+        if known or not self._counters or self._cell is None:
             return
         if link_counters(self._cell) != self._counters:
             self.noted_s = now_s

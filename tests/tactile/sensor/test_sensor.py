@@ -300,6 +300,13 @@ def test_a_saturated_pad_beside_the_grip_is_noted_only(sensor, frames) -> None:
     sensor.check_zero()
 
 
+def test_pads_beside_the_grip_that_drift_make_the_force_invalid(sensor, frames) -> None:
+    frames.base[:] = 8.0
+    reading = readings(sensor, frames, 5)[-1]
+    assert not reading.ok
+    assert "the zero of the pads beside the grip has drifted by +7." in reading.reason
+
+
 def test_one_bad_taxel_of_a_small_pad_is_no_reason_to_refuse_a_zero() -> None:
     sensor, frames = make()
     frames.stuck = {LAYOUT.taxels_of(4).start: 0}
