@@ -10,6 +10,7 @@ import pytest
 
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import REGISTERS
+from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import XM430_W350, ServoModel
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper
@@ -43,6 +44,22 @@ STICKING = Gearing(
 )
 """A gearing that sticks at rest: that of an MX-64 (Rhoban/bam, revision 1b5a1ce, mx64/m6.json) at
 low speed, all torques scaled to the graph of an XM430-W350."""
+_LAW = STICKING.drive.friction
+_RISES_NM_A = (1.0 - _LAW.drive) * STICKING.drive.kt_nm_a
+_FALLS_NM_A = (1.0 + _LAW.drive) * STICKING.drive.kt_nm_a
+STICKING_DRIVE = DriveCharacteristic(
+    coulomb_a=_LAW.base_nm / _RISES_NM_A,
+    breakaway_a=_LAW.base_nm / _RISES_NM_A,
+    viscous_a_s=_LAW.viscous_nm_s / _RISES_NM_A,
+    rising_a_nm=(1.0 + _LAW.load) / _RISES_NM_A,
+    falling_a_nm=(1.0 - _LAW.load) / _FALLS_NM_A,
+    yielding_share=_RISES_NM_A / _FALLS_NM_A,
+    kt_nm_a=XM430_W350.kt_nm_a,
+    friction_sd=0.05,
+    load_sd=0.04,
+    falling_sd=0.05,
+)
+"""What a measurement of such servos finds."""
 
 
 def packed(text: str) -> bytes:

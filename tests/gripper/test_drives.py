@@ -12,7 +12,7 @@ from gripper.errors import ServoFault
 from gripper.force.ramp import ForceRamp
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.outcome import GraspResult
-from tests.gripper.conftest import STICKING
+from tests.gripper.conftest import STICKING, STICKING_DRIVE
 from tests.marks import LONG
 
 NEVER = (0.7, 0.15)
@@ -32,7 +32,7 @@ def true_friction_a(motor: Any) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("friction", [(0.5, 0.5), (3.0, 3.0), (3.0, 1.0), (1.0, 0.5)])
+@pytest.mark.parametrize("friction", [(0.5, 0.5), (3.0, 1.0), LONG((3.0, 3.0)), LONG((1.0, 0.5))])
 def test_a_gripper_that_never_measured_finds_the_friction_of_each_servo(
     make_started, friction
 ) -> None:
@@ -93,17 +93,6 @@ def test_a_closing_finger_whose_friction_is_more_than_was_measured_moves(make_st
         drive = cell.settings.drives.of(servo.servo_id, servo.drive)
         cell.settings.drives.put(servo.servo_id, drive.with_friction(0.25))
     cell.gripper.measure_friction()
-    for motor, drive in zip(cell.motors, drives(cell), strict=True):
-        assert drive.breakaway_a == pytest.approx(true_friction_a(motor), rel=0.1)
-
-
-@pytest.mark.slow
-def test_free_motions_at_several_speeds_measure_the_friction(make_started) -> None:
-    cell = make_started(drive_sds=NEVER, present=False)
-    for motor, factor in zip(cell.motors, (0.75, 1.25), strict=True):
-        motor.kt_factor = factor
-    cell.gripper.open()
-    cell.gripper.measure_friction()
     assert cell.gripper.read_feedback().aperture_m == pytest.approx(0.03, abs=0.001)
     for motor, drive in zip(cell.motors, drives(cell), strict=True):
         assert drive.breakaway_a == pytest.approx(true_friction_a(motor), rel=0.1)
@@ -140,11 +129,12 @@ def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(make_started)
 
 @pytest.mark.slow
 def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(make_started) -> None:
-    cell = make_started(present=False, current_max_a=1.2)
+    cell = make_started(drive_sds=NEVER, present=False, current_max_a=1.2)
+    cell.motors[0].friction_factor *= 3.0
     cell.gripper.open()
 
     def wear() -> None:
-        for _ in range(8):
+        for _ in range(4):
             cell.motors[0].friction_factor *= 1.39
             cell.gripper.measure_friction()
 
@@ -158,18 +148,16 @@ def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(make_started
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("gain", [0.6, 0.8])
-def test_pads_that_read_far_too_little_are_noted_and_the_cap_holds(make_started, gain) -> None:
+def test_pads_that_read_far_too_little_are_noted_and_the_cap_holds(make_started) -> None:
     cell = make_started(drive_sds=NEVER, force_max_n=12.0)
-    cell.sensor.gain = gain
+    cell.sensor.gain = 0.6
     cell.gripper.open()
     cell.gripper.grasp(ForceRamp.linear(6.0, 8.0, 0.5))
     cell.gripper.measure_load()
     notes = cell.gripper.read_drives().notes
     assert all("the law of the pads" in note for note in notes)
     shares = [float(note.partition("makes ")[2].split()[0]) for note in notes]
-    # Motors of one model differ by as much as the pads with the smaller error.
-    assert shares == pytest.approx([gain, gain] if gain < 0.7 else [], rel=0.1)
+    assert shares == pytest.approx([0.6, 0.6], rel=0.1)
     cell.gripper.release()
     # Up to the cap by these pads: what the motors make counts too.
     cell.gripper.grasp(ForceRamp.linear(0.9 * cell.settings.force_max_n, 8.0, 0.5))
@@ -192,9 +180,7 @@ def test_the_load_of_a_gearing_that_sticks_is_measured_with_its_losses(factors) 
     factors = (_CATALOGUE * factors[0], factors[1])
     settings = {"gearing": STICKING, "factors": factors, "current_max_a": 1.6}
     measured = Rig(part, 0.2, servos=None, seed=11, rate_hz=200.0, **settings).measure_servos()
-    true_drive = STICKING.drive_of(XM430_W350)
-    law = true_drive.friction
-    true_a_nm = (1.0 + law.load) / (1.0 - law.drive) / true_drive.kt_nm_a / factors[1]
+    true_a_nm = STICKING_DRIVE.rising_a_nm / factors[1]
     for drive in measured.values():
         assert drive.rising_a_nm == pytest.approx(true_a_nm, rel=0.15)
         assert abs(drive.rising_a_nm / true_a_nm - 1.0) <= 2.0 * drive.load_sd

@@ -12,6 +12,7 @@ from gripper.force.ramp import ForceRamp, largest_ramp_n
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle, GripperPhase
+from tests.marks import LONG
 
 RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)
 D_GAIN = "position_d_gain"
@@ -77,7 +78,7 @@ def ticks(cell, seconds: float, creep_m_s: float = 0.0) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("force_n", [4.0, 10.0])
+@pytest.mark.parametrize("force_n", [4.0, LONG(10.0)])
 def test_a_carried_part_is_controlled_by_each_tick(cell, force_n: float) -> None:
     cell.hold_part(RAMP)
     cell.least_n = 99.0

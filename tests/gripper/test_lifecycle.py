@@ -208,7 +208,7 @@ def test_a_stuck_finger_is_reported(started) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [*range(4), *(LONG(seed) for seed in range(4, 200))])
+@pytest.mark.parametrize("seed", [*range(3), *(LONG(seed) for seed in range(3, 200))])
 def test_the_force_stays_below_its_cap_with_a_wrong_encoder_at_any_moment(make_cell, seed) -> None:
     """In an approach, a ramp, a hold or a release, of a part or a self-zero, and after it."""
     draw = random.Random(seed)
@@ -243,8 +243,9 @@ def test_the_force_stays_below_its_cap_with_a_wrong_encoder_at_any_moment(make_c
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("at_n", [0.5, LONG(2.0), 4.0])
-@pytest.mark.parametrize("rate_hz", [None, 200.0])
+@pytest.mark.parametrize(
+    ("at_n", "rate_hz"), [(0.5, None), (4.0, 200.0), LONG(2.0, None), LONG(2.0, 200.0)]
+)
 def test_currents_that_freeze_in_a_grip_let_no_part_go(
     make_started, monkeypatch, at_n, rate_hz
 ) -> None:
@@ -491,7 +492,7 @@ def test_a_reboot_is_judged_by_the_servo_not_by_its_answer(cell, monkeypatch, lo
     assert gripper.start().ok
 
 
-@pytest.mark.parametrize("levels", [(0, 0), (1, 1), (2, 0), (1, 2)])
+@pytest.mark.parametrize("levels", [(0, 0), (1, 2)])
 def test_a_part_is_let_go_by_servos_that_confirm_no_write(make_cell, levels) -> None:
     cell = make_cell(corrected_registers=frozenset({"operating_mode", "return_delay_time"}))
     leave_part(cell)

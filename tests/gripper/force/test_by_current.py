@@ -64,11 +64,11 @@ RUNS_AWAY = pytest.mark.xfail(
     ("cell_has", "within_n", "rate_n_s"),
     [
         ({}, 0.4, 20.0),
-        ({"friction_error": 0.3}, 0.4, 20.0),
+        LONG({"friction_error": 0.3}, 0.4, 20.0),
         ({"friction_error": -0.3}, 0.4, 20.0),
         ({"kt_error": 0.1}, 0.8, 20.0),
         LONG({"kt_error": 0.1}, 0.8, 5.0),
-        ({"kt_error": -0.1}, 0.8, 20.0),
+        LONG({"kt_error": -0.1}, 0.8, 20.0),
         ({"n_servos": 1}, 0.4, 20.0),
         (SOFT, 0.5, 5.0),
         pytest.param(SOFT, 0.5, 20.0, marks=RUNS_AWAY),

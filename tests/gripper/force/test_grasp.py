@@ -15,6 +15,7 @@ from gripper.servos.goal_limits import ServoGoal
 from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle, GripperPhase
+from tests.marks import LONG
 from tests.values import make_state
 
 LINEAR = ForceRamp.linear(8.0, 10.0, hold_s=0.3)
@@ -119,7 +120,7 @@ def test_a_part_that_is_lost_as_its_ramp_ends_is_lost(make_started) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise_n", [0.02, 0.2])
+@pytest.mark.parametrize("noise_n", [LONG(0.02), 0.2])
 def test_a_part_that_yields_until_the_fingers_are_closed_is_held_with_what_it_bears(
     make_cell, noise_n: float
 ) -> None:

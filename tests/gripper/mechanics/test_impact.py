@@ -1,17 +1,17 @@
 """The impact of closing fingers, and the closing speed that the cap of the force allows."""
 
 import re
+from contextlib import suppress
 from dataclasses import replace
-from unittest import mock
 
 import pytest
 
-from benchmarks.performance import force_cap
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.errors import ConfigError
-from gripper.errors import LimitExceeded
+from gripper.errors import ForceAboveCap, LimitExceeded
 from gripper.force.approach import approach
+from gripper.force.ramp import ForceRamp
 from gripper.mechanics.impact import approach_speed_m_s, check_approach, impact_limit
 from gripper.mechanics.kinematics import ParallelLinkage, transmissions
 from gripper.servos.goal_limits import GoalWriter
@@ -22,24 +22,6 @@ LINKAGE = ParallelLinkage(link_m=0.06)
 SETTINGS = measured_drives(
     GripperSettings(servos=(ServoSettings(servo_id=1), ServoSettings(servo_id=2)))
 )
-
-
-HARMED = {
-    "gripper.force_max_n": 12.0,
-    "gripper.approach_speed_mm_s": 100.0,
-    "gripper.contact.approach_force_n": 1.0,
-    "gripper.current_max_a": 0.8,
-    "gripper.linkage": {"kind": "parallel_linkage", "link_mm": 45.0},
-    "gripper.servos": [{"id": 1}, {"id": 2}],
-    "gripper.loop_rate_hz": 200.0,
-    "gripper.contact_force_n": 0.6,
-    "gripper.aperture_open_mm": 18.0,
-    "tactile.force_period_ms": 0,
-    "tactile.sync_period_ms": 20.0,
-    "sequence.force_n": [4.0, 4.0],
-    "sequence.carry_force_n": 4.0,
-}
-"""Config that passes its cap by far where nothing slows the fingers down."""
 
 
 def test_the_default_speed_is_below_what_the_default_cap_allows() -> None:
@@ -98,22 +80,23 @@ def test_a_config_is_refused_or_slowed_with_the_reason() -> None:
         )
 
 
-@pytest.mark.slow
-def test_the_limit_stands_beside_the_write_and_not_in_the_caller_alone() -> None:
-    as_asked = mock.patch.object(
-        approach,
-        "approach_speed_m_s",
-        lambda settings, *_where, **_how: settings.approach_speed_m_s,
+def test_the_limit_stands_beside_the_write_and_not_in_the_caller_alone(
+    make_started, monkeypatch
+) -> None:
+    monkeypatch.setattr(
+        approach, "approach_speed_m_s", lambda settings, *_a, **_k: settings.approach_speed_m_s
     )
-    unguarded = mock.patch.object(
-        GoalWriter, "bounded", lambda _self, goals, _state, **_how: tuple(goals)
-    )
-    with as_asked:
-        written = force_cap.trial(9008, HARMED)
-        with unguarded:
-            passed = force_cap.trial(9008, HARMED)
-    assert passed.broken, "the caller alone does not pass the cap: nothing is shown"
-    assert not written.broken, str(written)
+    hard = {"stiffness_n_m": 55e3, "force_max_n": 12.0, "current_max_a": 0.8}
+
+    def peak_n() -> float:
+        cell = make_started(aperture_m=0.03, approach_speed_m_s=0.1, approach_force_n=1.0, **hard)
+        with suppress(ForceAboveCap):
+            cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=10.0))
+        return cell.peak_n
+
+    assert peak_n() < 12.0
+    monkeypatch.setattr(GoalWriter, "bounded", lambda _self, goals, _state, **_k: tuple(goals))
+    assert peak_n() > 12.0, "the speed that is asked for passes no cap: nothing is shown"
 
 
 def test_a_new_drive_counts_at_once_and_equal_angles_are_computed_once() -> None:

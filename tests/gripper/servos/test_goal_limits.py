@@ -49,8 +49,9 @@ def test_the_cap_is_noticed_the_sooner_the_more_it_is_passed(over_n, at_most_s) 
     assert 10.0 < reported_s <= 10.0 + at_most_s
 
 
-@pytest.mark.parametrize("at_least", [True, False])
-@pytest.mark.parametrize("measured_n", [35.0, 8.5, 5.0])
+@pytest.mark.parametrize(
+    ("measured_n", "at_least"), [(35.0, True), (8.5, True), (5.0, True), (8.5, False)]
+)
 def test_a_force_of_taxels_at_full_scale_is_a_lower_bound(make_cell, measured_n, at_least) -> None:
     """Above the cap it is a fault, although no sample of it is used for control."""
     cell = make_cell(force_max_n=6.0, rate_hz=200.0, noise_n=0.1)

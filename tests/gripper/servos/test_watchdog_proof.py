@@ -22,8 +22,14 @@ def let_stop(cell, how: WatchdogStop, *indices: int) -> None:
         cell.servos[index].watchdog_stop = how
 
 
-@pytest.mark.parametrize("how", [WatchdogStop.HOLD, WatchdogStop.ZERO_CURRENT])
-@pytest.mark.parametrize("watchdog_s", [0.1, LONG(0.2), LONG(0.5), 0.9])
+@pytest.mark.parametrize(
+    ("how", "watchdog_s"),
+    [
+        (WatchdogStop.HOLD, 0.1),
+        (WatchdogStop.ZERO_CURRENT, 0.9),
+        *(LONG(WatchdogStop.ZERO_CURRENT, watchdog_s) for watchdog_s in (0.1, 0.2, 0.5)),
+    ],
+)
 def test_a_watchdog_that_stops_the_motors_is_proven_once(make_cell, how, watchdog_s) -> None:
     cell = make_cell(watchdog_self_test=True, watchdog_s=watchdog_s)
     let_stop(cell, how, 0, 1)

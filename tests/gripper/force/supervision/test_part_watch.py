@@ -12,6 +12,7 @@ from gripper.force.supervision.part_watch import PartWatch
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
 from tests.gripper.force.grips import PERIOD_S, STATE, make_grip, make_period
+from tests.marks import LONG
 
 
 class Watched:
@@ -196,7 +197,7 @@ RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("force_n", [0.7, 1.5])
+@pytest.mark.parametrize("force_n", [0.7, LONG(1.5)])
 def test_a_light_part_is_not_lost_in_the_noise_of_single_scans(make_started, force_n) -> None:
     cell = make_started(rate_hz=333.0, noise_n=0.35, slip_drop_n=20.0)
     assert cell.gripper.grasp(ForceRamp.linear(force_n, rate_n_s=2.0)).contact_t_s is not None
@@ -204,7 +205,7 @@ def test_a_light_part_is_not_lost_in_the_noise_of_single_scans(make_started, for
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stalls_s", [0.05, 0.15, 0.2])
+@pytest.mark.parametrize("stalls_s", [LONG(0.05), 0.15, 0.2])
 def test_a_part_is_not_lost_because_the_loop_stalls(make_started, stalls_s) -> None:
     # A force that overshoots in a stall comes back at once: that is no slip.
     cell = make_started(

@@ -51,11 +51,12 @@ def more(shift_n: float) -> Callable[[ForceSample, float], ForceSample]:
     return lambda it, _s: replace(it, force_n=tuple(n + shift_n for n in it.force_n))
 
 
-@pytest.mark.parametrize("rate_hz", [None, 500.0])
-@pytest.mark.parametrize("final_n", [0.7, 4.0])
-@pytest.mark.parametrize("moment", ["ramp", "hold"])
+@pytest.mark.parametrize(
+    ("moment", "final_n", "rate_hz"),
+    [("ramp", 0.7, None), ("ramp", 4.0, 500.0), ("hold", 0.7, 500.0), ("hold", 4.0, None)],
+)
 def test_pads_whose_zero_jumps_on_a_part_do_not_let_it_go(
-    make_started, rate_hz, final_n, moment
+    make_started, moment, final_n, rate_hz
 ) -> None:
     """The fingers stand and press as before: it is no force that there is too much of."""
     # A slow touch adds no force, which would have to fall first.
