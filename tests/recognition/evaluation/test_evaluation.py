@@ -1,13 +1,10 @@
 """Splits and figures of merit against hand-made numbers."""
 
 import dataclasses
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cell.recording.dataset import read_dataset
 from recognition.evaluation.evaluation import evaluate
 from recognition.evaluation.metrics import (
     auroc,
@@ -128,7 +125,7 @@ def test_each_group_is_left_out_in_turn_without_what_nothing_else_teaches():
         left_out_parts(grasps, ["a"] * len(grasps))
 
 
-# -- The evaluation on made grasps, and the default recognizer on recorded ones --------------------
+# -- The evaluation on made grasps -----------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -178,34 +175,16 @@ def test_few_labels_are_not_left_out(train, fresh):
 
 
 @pytest.mark.slow
-def test_the_answers_of_all_parts_count_together(train, fresh):
-    trainer = make_trainer("level_check")
+def test_the_answers_of_all_parts_count_together(score, train, fresh):
     half = len(fresh) // 2
-    both = evaluate([(train, fresh[:half]), (train, fresh[half:])], trainer, unknown_groups=0)
-    whole = evaluate([(train, fresh)], trainer, unknown_groups=0)
-    assert both.n == whole.n
-    assert both.confusion.tolist() == whole.confusion.tolist()
-    assert both.named_right == whole.named_right
+    parts = [(train, fresh[:half]), (train, fresh[half:])]
+    both = evaluate(parts, make_trainer("level_check"), unknown_groups=0)
+    assert both.n == score.n
+    assert both.confusion.tolist() == score.confusion.tolist()
+    assert both.named_right == score.named_right
 
 
 def test_nothing_to_test_is_refused(train, fresh):
     renamed = [dataclasses.replace(g, label="other") for g in fresh]
     with pytest.raises(ValueError, match="taught object"):
         evaluate([(train, renamed)], make_trainer("level_check"))
-
-
-@pytest.mark.slow
-@pytest.mark.shared_data
-@pytest.mark.skipif(
-    "TACTILE_CELL_DATA" not in os.environ,
-    reason="TACTILE_CELL_DATA does not name the folder of recorded grasps",
-)
-def test_recorded_grasps_are_named():
-    # Only the earlier part of the recording: the later part is for the benchmark alone.
-    recorded = read_dataset(Path(os.environ["TACTILE_CELL_DATA"]) / "pinch36.npz")
-    earlier, _ = chronological_split(recorded, 0.6)
-    train, test = chronological_split(earlier, 0.7)
-    score = evaluate([(train, test)], make_trainer("force_ramp"), unknown_groups=2)
-    assert score.single_accuracy > 0.94
-    assert score.fused_accuracy[3] > 0.95
-    assert score.unknown_auroc > 0.93

@@ -54,11 +54,6 @@ def test_a_rest_above_all_frames_cuts_nothing_off():
     assert held_part(loaded, rest)[0] is loaded
 
 
-def test_rest_follows_an_offset_that_was_not_taught(rest, train):
-    lifted = dataclasses.replace(train[0], counts=train[0].counts + 1000)
-    assert find_ramp(lifted, rest).load == pytest.approx(find_ramp(train[0], rest).load)
-
-
 def test_touch_is_the_first_frame_of_the_lasting_contact(pads, train):
     ramp = find_ramp(train[0], learn_rest(train))
     assert ramp.touched

@@ -129,12 +129,6 @@ def test_taught_without_an_opening_it_answers_with_and_without(train, fresh):
     assert accuracy(make_trainer("force_ramp").fit(blind), fresh) >= 0.8
 
 
-def test_other_pads_are_refused(taught):
-    other = make_grasps(1, seed=0, pads=make_pads(adc_max=255))
-    with pytest.raises(ValueError, match="teach on these pads"):
-        taught.posterior(other[0])
-
-
 def test_too_few_grasps_of_an_object_are_refused(train):
     with pytest.raises(ValueError, match="at least 3"):
         make_trainer("force_ramp").fit(train[::8])
@@ -167,10 +161,10 @@ def test_few_grasps_of_few_objects_name_no_other_one(pads, fresh, n, taught):
 
 
 @pytest.mark.slow
-def test_grasps_that_missed_teach_nothing(train, fresh):
+def test_taught_again_with_a_grasp_that_missed_it_gives_the_same(taught, train, fresh):
     missed = dataclasses.replace(train[0], counts=np.zeros_like(train[0].counts))
-    recognizer = make_trainer("force_ramp").fit([missed, *train])
-    assert accuracy(recognizer, fresh) >= 0.95
+    again = make_trainer("force_ramp").fit([missed, *train]).posterior(fresh[7])
+    assert np.array_equal(again.probability, taught.posterior(fresh[7]).probability)
 
 
 def test_an_object_whose_grasps_all_missed_is_named(train):
@@ -197,12 +191,6 @@ def test_recognizer_comes_back_from_its_arrays(teach, fresh, use_aperture):
         type(taught).from_arrays(arrays | {"labels": arrays["labels"][:-1]})
     with pytest.raises(ValueError, match=r"version 0.*train again"):
         type(taught).from_arrays(arrays | {"version": np.array(0)})
-
-
-@pytest.mark.slow
-def test_teaching_twice_gives_the_same(taught, train, fresh):
-    again = make_trainer("force_ramp").fit(train).posterior(fresh[7])
-    assert np.array_equal(again.probability, taught.posterior(fresh[7]).probability)
 
 
 @pytest.mark.slow

@@ -233,22 +233,20 @@ def test_an_adapter_that_does_not_know_its_flags_is_left_in_peace(adapter) -> No
     close_bus(bus)
 
 
-@pytest.mark.parametrize(
-    ("interface", "channel", "says"),
-    [
-        ("slcan", "/dev/does-not-exist", "does-not-exist.*Check that the adapter is plugged in"),
-        ("slcan", "", "serial port"),
-        ("socketcan", "nocan7", "nocan7.*ip link"),
-        ("no-such-interface", "x", "Check the names"),
-        ("kvaser", "0", "library of its driver is missing.*package linuxcan of Kvaser"),
-        ("gs_usb", "0", r"python-can\[gs-usb\]"),
-        ("pcan", "PCAN_USBBUS1", "libpcanbasic"),
-    ],
+NOT_THERE = (
+    ("slcan", "/dev/does-not-exist", "does-not-exist.*Check that the adapter is plugged in"),
+    ("slcan", "", "serial port"),
+    ("socketcan", "nocan7", "nocan7.*ip link"),
+    ("no-such-interface", "x", "Check the names"),
+    ("kvaser", "0", "library of its driver is missing.*package linuxcan of Kvaser"),
+    ("gs_usb", "0", r"python-can\[gs-usb\]"),
+    ("pcan", "PCAN_USBBUS1", "libpcanbasic"),
 )
-def test_a_bus_that_cannot_be_opened_says_what_to_check_and_its_driver_nothing(
-    interface, channel, says, caplog
-) -> None:
-    for _ in range(2):  # the first one leaves no lock
+"""Interface, channel, and what the error says."""
+
+
+def test_a_bus_that_cannot_be_opened_says_what_to_check_and_its_driver_nothing(caplog) -> None:
+    for interface, channel, says in 2 * NOT_THERE:  # the first one leaves no lock
         with pytest.raises(BusNotOpened, match=says):
             open_bus(interface, channel)
     gc.collect()

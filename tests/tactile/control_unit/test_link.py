@@ -342,22 +342,6 @@ def copy(bench, cob_id: int, n: int, *, times: float = np.inf) -> None:
     bench.alter(cob_id, lambda burst: burst * n if next(left) > 0 else burst)
 
 
-def test_two_bursts_after_each_sync_are_a_second_unit(idle) -> None:
-    idle.skin.noisy = True
-    idle.link.start()
-    idle.run(0.2)
-
-    def both(messages: list[bytes]) -> list[bytes]:
-        second = idle.unit.scanner.frame_messages()
-        return [data for pair in zip(messages, second, strict=True) for data in pair]
-
-    idle.alter(FRAMES, both)
-    start_s = idle.clock.monotonic()
-    with pytest.raises(DuplicateNode, match=r"118 frame messages .* sends 59: a second unit"):
-        idle.run(1.0)
-    assert idle.clock.monotonic() - start_s <= 0.105
-
-
 def test_bursts_that_pile_up_behind_a_stall_are_no_second_unit() -> None:
     flow = FrameFlow("the unit", LinkSettings(silence_s=2.0), 59)
     rng, waiting = np.random.default_rng(4), 0

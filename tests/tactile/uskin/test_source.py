@@ -108,7 +108,7 @@ def test_frames_come_at_the_rate_of_the_boards_and_in_the_mounted_order(cell) ->
 )
 def test_a_fault_in_operation_is_named(cell, source, fault, error, named) -> None:
     source.start()
-    run(cell, source, 1.0)
+    run(cell, source, 0.2)
     cell.inject(fault)
     with pytest.raises(error, match=named):
         run(cell, source, 1.0)
@@ -139,7 +139,7 @@ def test_another_map_of_identifiers_shows_as_foreign_messages() -> None:
 @pytest.mark.slow
 def test_single_lost_messages_cost_one_frame_each(cell: SimulatedCell, source: UskinSource) -> None:
     source.start()
-    run(cell, source, 1.0)
+    run(cell, source, 0.2)
     n = 0
     for _ in range(4):
         cell.inject("can.lose_next=1")
