@@ -25,6 +25,7 @@ from gripper.errors import (
     LimitExceeded,
     ServoFault,
     VerificationFailed,
+    WatchdogUnproven,
 )
 from gripper.force.approach.empty_motion import FirstMotion, MoveTo, StandStill
 from gripper.force.approach.mechanics_proof import standing_rows
@@ -279,9 +280,21 @@ class Gripper:
                 self._runner.run(standing.step, needs_force=False)
             state = self._move_to(target_m, first=was_limp)
             if self.settings.watchdog_self_test and not self._watchdog_proven:
-                prove_watchdog(self._servos, self._clock)
-                self._watchdog_proven = True
-                state = self._move_to(target_m)
+                state = self._prove_watchdog(target_m)
+        return state
+
+    def _prove_watchdog(self, target_m: float) -> ServoFeedback:
+        """Close the fingers for the self-test of the watchdog, and open them again."""
+        # What stops them, or lies between them at a stop, may be held.
+        self._life.part_possible = True
+        try:
+            prove_watchdog(self._servos, self._clock)
+            self._watchdog_proven = True
+            state = self._move_to(target_m)
+        except WatchdogUnproven:
+            self._life.part_possible = False
+            raise
+        self._life.part_possible = False
         return state
 
     @property

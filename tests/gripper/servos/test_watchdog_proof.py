@@ -4,6 +4,7 @@ import pytest
 
 from gripper.errors import (
     FingerBlocked,
+    GraspStopped,
     GripperStateError,
     LimitExceeded,
     WatchdogUnproven,
@@ -81,6 +82,15 @@ def test_a_part_that_blocks_the_test_is_named_and_kept(make_cell) -> None:
     cell.gripper.clear_fault()
     with pytest.raises(GripperStateError, match="release the part first"):
         cell.gripper.open()
+
+
+def test_what_lies_between_the_fingers_at_a_stop_in_the_test_is_kept(make_cell) -> None:
+    cell = make_cell(watchdog_self_test=True, width_m=0.0152)
+    cell.gripper.start()
+    cell.clock.on_advance.append(lambda _: cell.force_n > 0.5 and cell.gripper.request_stop())
+    with pytest.raises(GraspStopped, match="a part may be touched"):
+        cell.gripper.open(0.02)
+    assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
 
 
 def test_it_is_off_unless_asked_for_and_refuses_a_long_way(make_cell) -> None:
