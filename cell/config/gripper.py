@@ -256,7 +256,7 @@ def measured_drive(path: Path, model: ServoModel) -> DriveCharacteristic:
         changes |= {"rising_a_nm": rising, "falling_a_nm": rising, "kt_nm_a": kt_nm_a}
         changes["load_sd"] = _SCALE_SD
     if (falling := values.get("falling_a_nm")) is not None:
-        changes |= {"falling_a_nm": falling, "falling_sd": _SCALE_SD}
+        changes["falling_a_nm"] = falling
     if (coulomb := values.get("coulomb_a")) is not None:
         changes |= {"coulomb_a": coulomb, "viscous_a_s": max(0.0, values["viscous_a_s"])}
         changes |= {"breakaway_a": values.get("breakaway_a", coulomb), "friction_sd": _FRICTION_SD}

@@ -21,9 +21,6 @@ SIGMAS = 2.0
 _FRICTION_SD = 0.7
 """Standard deviation of the logarithm of the friction current between two servos of one model: a
 quarter to four times. The catalogue alone is so uncertain. [assumed]"""
-_FALLING_SD = 0.4
-"""The same of a load that falls over one that rises. [vendor]"""
-
 INERTIA_SD = 0.5
 """The same of the inertia: an identified gearing of one model has 2.4 times the catalogue's (arXiv
 2410.08650). [assumed]"""
@@ -59,8 +56,6 @@ class DriveCharacteristic:
     losses grow with the load, less where they grow with the torque of the motor."""
     load_sd: float = KT_SD
     """Uncertainty of ``rising_a_nm``."""
-    falling_sd: float = _FALLING_SD
-    """Uncertainty of ``falling_a_nm`` and ``yielding_share``."""
     kt_nm_a: float
     """Torque at the output in N m for each A of a rising load, by catalogue or bench."""
     temperature_c: float | None = None

@@ -124,12 +124,7 @@ def fit_load(
         return fitted
     falls, share, _ = down.values.tolist()
     # A gearing needs no more current to yield than to drive.
-    return replace(
-        fitted,
-        falling_a_nm=min(falls, slope),
-        yielding_share=min(share, 1.0),
-        falling_sd=float(down.sds[0]) / falls,
-    )
+    return replace(fitted, falling_a_nm=min(falls, slope), yielding_share=min(share, 1.0))
 
 
 def change(point: FreePoint, drive: DriveCharacteristic) -> float:

@@ -57,7 +57,6 @@ STICKING_DRIVE = DriveCharacteristic(
     kt_nm_a=XM430_W350.kt_nm_a,
     friction_sd=0.05,
     load_sd=0.04,
-    falling_sd=0.05,
 )
 """What a measurement of such servos finds."""
 
