@@ -240,9 +240,8 @@ def test_a_part_at_the_contact_force_is_a_warning(n_pressed, verdict) -> None:
     assert _load(counts, CellConfig(), "").verdict is verdict
 
 
-@pytest.mark.slow
 def test_lines_that_cannot_be_opened_are_named() -> None:
-    findings = by_name(examine(small_config(**REAL)))
+    findings = by_name(examine(small_config(**REAL, loop__own_process=False)))
     assert findings["links"].verdict is Verdict.FAIL
     assert "can-that-is-not-there" in findings["links"].text
 
