@@ -516,6 +516,3 @@ def test_a_measured_size_far_from_the_drawn_ones_is_of_no_taught_object(
     assert answer.label == answer.fused.name == label
     assert tuple(told) == answer.posteriors
 
-
-def test_a_config_may_want_no_shapes() -> None:
-    assert shape_reader(small_config(recognition__shape=False)) is None

@@ -212,8 +212,8 @@ def test_a_part_that_was_moved_in_the_grip_is_found(bench: Any) -> None:
 
 def test_a_part_of_another_thickness_is_found(bench: Any) -> None:
     bench.controller.grip(4.0, Pose())
-    for step in range(1, 41):
-        bench.simulated.devices.world.swell(step * 2e-5)
+    for step in range(1, 9):
+        bench.simulated.devices.world.swell(step * 1e-4)
         bench.idle(0.05)
     check = bench.controller.kept_part.verify()
     assert check.same is False

@@ -105,7 +105,6 @@ def test_optional_arrays_are_left_out_where_nothing_is_known(tmp_path) -> None:
 
 
 DAMAGE: list[tuple[str, Callable[[Any], Any], str]] = [
-    ("format", lambda _: 1, "its format is"),
     ("counts", lambda _: None, "counts missing"),
     ("model", lambda _: "x", "is a model: name the data sets"),
     ("force_N", lambda _: np.zeros(13), "unknown arrays 'force_N'"),

@@ -502,7 +502,6 @@ def frame_json(**changed: str) -> bytes:
     ("metadata", "says"),
     [
         (None, "has no description"),
-        ({"format": "other/1"}, "its format is 'other/1'"),
         (GOOD | {"pads": "[" * 100_000}, "does not fit"),
     ],
 )
