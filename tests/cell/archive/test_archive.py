@@ -316,7 +316,7 @@ def test_duckdb_reads_the_table(archived) -> None:
     assert all(row[2] > 0 for row in rows)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_example_trains_and_evaluates_on_a_cluster_of_two_workers(
     fleet, archived, tmp_path, capsys
 ) -> None:

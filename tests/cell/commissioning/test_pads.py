@@ -22,7 +22,7 @@ from simulator.world.taxels import SensorLaw
 from tactile.layout import PadMount, paper_layout, pinch_layout
 from tactile.sensor.calibration import LinearCalibration, TableCalibration
 from tactile.sensor.settings import SensorSettings
-from tests.cell.commissioning.conftest import MakeStand, Stand
+from tests.cell.commissioning.conftest import MakeStand
 from tests.marks import LONG
 from tests.tactile.conftest import counts_of
 
@@ -30,12 +30,14 @@ REST, PRESSED = PADS_AT_REST, PADS_PRESSED
 
 
 @pytest.mark.parametrize("layout", [pinch_layout(), paper_layout()])
-def test_sound_pads_at_rest_pass_without_a_word(make_stand, layout) -> None:
+def test_sound_pads_pass_without_a_word_at_rest_and_pressed(make_stand, layout) -> None:
     stand = make_stand(layout=layout)
     stand.knows(tactile__layout=layout.name)
     finding = stand.passes(REST)
     assert len(finding.lines) == 1
     assert finding.settings == {"tactile.board_serial_numbers": [1, 2]}
+    assert stand.passes(PRESSED).settings == {"tactile.mounting": []}
+    assert stand.person.script.asked == ["pads_pressed.press"] * layout.n_pads
 
 
 def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(make_stand) -> None:
@@ -86,14 +88,6 @@ def test_the_wrong_pad_or_its_middle_is_asked_for_again(stand) -> None:
     assert "in the middle of the pad" in stand.person.script.text
 
 
-@pytest.mark.parametrize("layout", [pinch_layout(), paper_layout()])
-def test_each_pad_is_found_by_who_follows_the_words(make_stand, layout) -> None:
-    stand = make_stand(layout=layout)
-    stand.knows(tactile__layout=layout.name)
-    assert stand.passes(PRESSED).settings == {"tactile.mounting": []}
-    assert stand.person.script.asked == ["pads_pressed.press"] * layout.n_pads
-
-
 @pytest.mark.parametrize(
     ("noises", "force_per_count_n", "status", "named"),
     [
@@ -117,27 +111,15 @@ def test_pads_of_much_noise_are_named(noises, force_per_count_n, status, named) 
 LOADS_N = (2.0, 5.0, 8.0)
 
 
-@pytest.fixture
-def paper(make_stand: MakeStand) -> MakeStand:
-    """Return what makes a cell with the pads of the paper, whose law is that of foam."""
-
-    def make(*faults: str) -> Stand:
-        stand = make_stand(*faults, layout=paper_layout())
-        stand.knows(tactile__layout="paper", tactile__tare_frames=60)
-        return stand
-
-    return make
-
-
-def test_a_law_that_is_right_passes_and_changes_nothing(paper: MakeStand) -> None:
-    finding = paper().passes(LAW)
-    assert finding.settings == {}
-    assert finding.values["factor"] == pytest.approx(1.0, abs=0.05)
-
-
-@pytest.mark.parametrize("measured", [0.8, LONG(1.25)])
-def test_a_law_that_is_off_is_named_and_set_right(paper: MakeStand, measured: float) -> None:
-    finding = paper(f"taxels.force_gain={measured}").run(LAW)
+@pytest.mark.parametrize("measured", [1.0, 0.8, LONG(1.25)])
+def test_the_law_of_the_foam_is_right_or_named_and_set_right(make_stand, measured) -> None:
+    stand = make_stand(f"taxels.force_gain={measured}", layout=paper_layout())
+    stand.knows(tactile__layout="paper", tactile__tare_frames=60)
+    finding = stand.run(LAW)
+    if measured == 1.0:
+        assert (finding.status, finding.settings) == (Verdict.PASS, {})
+        assert finding.values["factor"] == pytest.approx(1.0, abs=0.05)
+        return
     assert finding.status is Verdict.WARN
     assert "The law was 2" in finding.lines[-1]
     gain = finding.settings["tactile.calibration.gain"]

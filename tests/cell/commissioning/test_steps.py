@@ -19,7 +19,6 @@ from cell.commissioning.unit import UNIT
 from cell.control.self_zero import stored_zeros
 from cell.errors import CellError
 from cell.formats import SERVO_BACKUP, write_json
-from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.errors import GripperError
 from gripper.settings import largest_setpoint_n
 from simulator.can.control_unit import ControlUnitSettings
@@ -196,18 +195,12 @@ def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(grasped) -> N
     assert abs(finding.values["meet_mm"]) < 1.0
 
 
-def stored_drives(stand: Stand) -> list[DriveCharacteristic]:
-    """Return what is kept of both servos for the cell."""
-    config = stand.bench.config
-    stored = stored_zeros(config, stand.bench.folder / config.recording.directory, new_hand=False)
-    assert len(stored.drives) == 2
-    return list(stored.stored_drives(dict.fromkeys(stored.drives, 0)).values())
-
-
 def test_what_it_measures_of_the_servos_is_kept_for_the_cell(grasped) -> None:
-    for drive in stored_drives(grasped[0]):
-        assert drive.measured
-        assert drive.load_sd < 0.1
+    bench = grasped[0].bench
+    folder = bench.folder / bench.config.recording.directory
+    drives = stored_zeros(bench.config, folder, new_hand=False).stored_drives({1: 0, 2: 0})
+    assert set(drives) == {1, 2}
+    assert all(drive.measured and drive.load_sd < 0.1 for drive in drives.values())
 
 
 @pytest.mark.parametrize("watchdog_ms", [LONG(100.0), 500.0])

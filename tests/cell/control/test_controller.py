@@ -515,4 +515,3 @@ def test_a_measured_size_far_from_the_drawn_ones_is_of_no_taught_object(
     )
     assert answer.label == answer.fused.name == label
     assert tuple(told) == answer.posteriors
-

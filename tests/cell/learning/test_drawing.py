@@ -214,18 +214,16 @@ def test_a_label_that_nothing_can_carry_is_refused_before_the_first_grasp(tmp_pa
         checked_goal({"task": "teach", "label": label})
 
 
-@pytest.mark.slow
-def test_grasps_that_stand_twice_are_noted(tmp_path) -> None:
+def test_grasps_that_stand_twice_are_noted(taught, tmp_path) -> None:
     def noted(*arguments: object) -> str:
-        return CliRunner().invoke(app, [str(a) for a in arguments]).output
+        command = ["model", *map(str, arguments), "--recognizer", "level_check"]
+        return CliRunner().invoke(app, command).output
 
-    path, nearest = tmp_path / "d.npz", ("--recognizer", "force_ramp")
-    call("teach", "ball", "--shape", BALL, "-n", 6, "-o", path)
-    said = noted("model", "train", path, path, "-o", tmp_path / "m.npz", *nearest)
-    assert "NOTE: 6 of 12 grasps occur twice" in said
-    said = noted("model", "evaluate", path, "--train", path, "--fuse", "1", *nearest)
-    assert "NOTE: 6 tested grasps were taught" in said
-    assert "occur twice" not in noted("model", "train", path, "-o", tmp_path / "m.npz", *nearest)
+    path, trained = taught.result.dataset, ("-o", tmp_path / "m.npz")
+    assert "NOTE: 10 of 20 grasps occur twice" in noted("train", path, path, *trained)
+    assert "occur twice" not in noted("train", path, *trained)
+    said = noted("evaluate", path, "--train", path, "--fuse", "1")
+    assert "NOTE: 10 tested grasps were taught" in said
 
 
 def test_an_object_beside_the_pads_is_refused() -> None:

@@ -165,10 +165,12 @@ def test_darker_shade_means_more_pressure_and_a_touched_side_is_drawn(recording)
         assert all([name for name, _ in pads] == names for *_, pads in one["levels"])
 
 
-def test_the_figure_of_a_card_is_the_share_of_its_bar() -> None:
+def test_a_card_has_shape_and_size_and_the_share_of_its_bar() -> None:
     p = Posterior(labels=("ball", "cylinder"), probability=np.array([0.001, 0.999]), unknown=0.23)
-    for answer, share in (("cylinder", 77), (UNKNOWN, 23)):
-        page = page_of(p.labels, answers=[identified("", answer, p)])
+    pin = make_shape("cylinder", 6.1)
+    for answer, share, kind in (("cylinder", 77, "cylinder,"), (UNKNOWN, 23, "a cylinder of")):
+        page = page_of(p.labels, answers=[identified("", answer, p, shape=pin)])
+        assert f"{kind} 6.1 mm (5.8 to 6.4)" in page
         bar = re.findall(r'width:([0-9.]+)%" title="([^"]+)"', page)
         assert sum(float(width) for width, _ in bar) == pytest.approx(2 * 100.0, abs=0.4)
         assert bar[-1 if answer == UNKNOWN else -2][1] == f"{answer} {share} %"
@@ -255,16 +257,6 @@ def test_unwritable_place_is_a_clear_error(tmp_path) -> None:
 # -- shape and size ----------------------------------------------------------------------------
 
 
-def test_shape_and_size_stand_beside_each_identification() -> None:
-    p = Posterior(labels=("ball", "box"), probability=np.array([0.9, 0.1]), unknown=0.01)
-    pin = make_shape("cylinder", 6.1)
-    answers = [identified("pin", label, p, shape=pin) for label in ("ball", UNKNOWN)]
-    page = page_of(p.labels, answers=answers)
-    assert "cylinder, 6.1 mm (5.8 to 6.4)" in page
-    assert "a cylinder of 6.1 mm (5.8 to 6.4)" in page
-    assert shapes_view([("pin", "ball", None)]) is None
-
-
 def test_all_shapes_are_drawn_on_one_scale() -> None:
     rows = (
         ("pin", "ball", make_shape("cylinder", 6.0)),
@@ -292,6 +284,7 @@ def test_all_shapes_are_drawn_on_one_scale() -> None:
     (group,) = many["groups"]
     assert (len(group["shapes"]), group["kinds"]) == (MAX_BARS, "oval 35 of 35")
     assert (len(many["strangers"]), many["n_hidden"]) == (MAX_BARS, 5)
+    assert shapes_view([("pin", "ball", None)]) is None
 
 
 # -- The report of a recording: whole, old, cut or spoiled -----------------------------------------
