@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from benchmarks.paper.grasps import PAPER_NOISE, random_grasp
 from cell.errors import CellError
 from cell.learning.blas import one_blas_thread
 from cell.learning.parallel import workers
@@ -19,25 +18,10 @@ from cell.learning.training import train
 from cell.runtime.goals import IdentifyGoal
 from cell.runtime.tasks import ModelFile, Tasks
 from recognition.evaluation.evaluation import Evaluation, evaluate
-from recognition.grasp import Grasp
 from recognition.recognizers import make_trainer
-from simulator.world.shapes import PAPER_OBJECTS
 from tests.cell.conftest import SURE, Scripted
-
-
-@pytest.fixture(scope="module")
-def parts() -> tuple[list[Grasp], list[Grasp]]:
-    rng = np.random.default_rng(5)
-    grasps = [
-        [random_grasp(label, rng, PAPER_NOISE, start_ms=i) for i in range(12)]
-        for label in list(PAPER_OBJECTS)[:3]
-    ]
-    return [g for row in grasps for g in row[:6]], [g for row in grasps for g in row[6:]]
-
-
-@pytest.fixture(scope="module")
-def alone(parts: tuple[list[Grasp], list[Grasp]]) -> Evaluation:
-    return evaluate([parts], make_trainer("level_check"))
+from tests.recognition.conftest import make_grasps
+from tests.values import make_pads
 
 
 def test_one_process_works_here() -> None:
@@ -54,9 +38,12 @@ def test_a_number_of_processes_below_none_is_refused() -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(60)
-def test_two_workers_give_the_same_figures(parts, alone) -> None:
+def test_two_workers_give_the_same_figures() -> None:
+    parts = tuple(make_grasps(6, seed=seed, pads=make_pads()) for seed in (1, 2))
+    trainer = make_trainer("level_check")
+    alone = evaluate([parts], trainer)
     with workers(2) as mapper:
-        spread = evaluate([parts], make_trainer("level_check"), mapper=mapper)
+        spread = evaluate([parts], trainer, mapper=mapper)
     for field in fields(Evaluation):
         np.testing.assert_equal(getattr(spread, field.name), getattr(alone, field.name))
 
