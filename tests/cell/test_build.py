@@ -319,7 +319,6 @@ OPERATED = {"gripper.port": "/dev/ttyUSB0", "positioner": {"kind": "operator"}}
 
 
 TABLE = {"kind": "table", "force_n": [1.0, 2.0]}
-REPEATED = [{"start": start, "taxels": [*range(start, start + 16)]} for start in (0x201, 0x210)]
 DRIVES = {"kind": "axes", "can": {"interface": "socketcan", "channel": "can0"}, "axes": [X_AXIS]}
 REAL_CAN = {
     "gripper.port": "/dev/ttyUSB0",
@@ -337,8 +336,6 @@ def on_ports(*ports: str) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("boards", "changes", "named"),
     [
-        (FLEXITAC, {"tactile.layout": "paper"}, "layout paper does not fit two boards of 12 x 32"),
-        (FLEXITAC, {"tactile.sensor.profile": "16x32"}, "pads of 32 rows along the finger and 16"),
         (FLEXITAC, {"tactile.sensor.rows_along": True}, "pads of 12 rows along the finger and 32"),
         (
             *(FLEXITAC, on_ports("/dev/a", "/dev/a") | OPERATED),
@@ -354,7 +351,6 @@ def on_ports(*ports: str) -> dict[str, Any]:
         (FLEXITAC, {"tactile.calibration": TABLE | {"counts": [9.0, 5.0]}}, "above 0, together"),
         (FLEXITAC, {"tactile.calibration": TABLE | {"counts": [9.0]}}, "1 counts and 2 values"),
         (USKIN, {"tactile.layout": "flexitac_16x16"}, r"has pads of \[256, 256\] taxels"),
-        (USKIN, {"tactile.sensor.boards": REPEATED}, "repeat"),
         (USKIN, REAL_CAN, r"identifiers of CANopen .* bus without CANopen nodes"),
     ],
 )

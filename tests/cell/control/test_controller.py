@@ -151,37 +151,29 @@ def test_the_recording_holds_what_happened(make_bench: MakeBench, tmp_path: Path
     assert set(recording.cycles.phase) == {"OPENING", "APPROACHING", "RAMPING", "RELEASING"}
 
 
-def test_a_force_that_is_not_allowed_is_refused_before_anything_moves(bench) -> None:
-    bench.ready()
+def test_forces_that_are_not_allowed_and_what_is_no_plan_are_refused_before_anything_moves(
+    bench: Any,
+) -> None:
+    control = bench.ready().controller
     began_s = bench.clock.monotonic()
     good, bad, none = (GraspStep(pose=Pose(), force_n=n) for n in (3.0, 14.9, math.nan))
-    for ask, *given in (
-        (bench.controller.grasp, bad),
-        (bench.controller.check_plan, [good, bad]),
-        (bench.controller.identify, Scripted(UNSURE), [good, bad]),
-    ):
-        with pytest.raises(LimitExceeded, match=r"13\.64 N, so that its overshoot stays below fo"):
-            ask(*given)
-    with pytest.raises(LimitExceeded, match="must be finite"):
-        bench.controller.grasp(none)
-    assert bench.clock.monotonic() == began_s
-    assert (bench.life.state, bench.life.fault) == (CellState.IDLE, None)
-
-
-def test_what_is_no_plan_is_refused_before_anything_moves(bench: Any) -> None:
-    bench.ready()
-    step = GraspStep(pose=Pose(), force_n=3.0)
     nothing: Any = None
-    for complaint, ask, *given in (
-        ("None is not a step", bench.controller.grasp, nothing),
-        ("is not a step", bench.controller.grasp, GraspStep(pose=nothing, force_n=3.0)),
-        ("None is not a label", bench.controller.check_plan, [step], nothing),
-        ("is UNKNOWN, the answer for untau", bench.controller.check_plan, [step], "UNKNOWN"),
-        ("the plan is empty", bench.controller.check_plan, []),
-        ("the plan is empty", bench.controller.identify, Scripted(SURE), []),
+    above = r"13\.64 N, so that its overshoot stays below fo"
+    for error, complaint, ask, *given in (
+        (LimitExceeded, above, control.grasp, bad),
+        (LimitExceeded, above, control.check_plan, [good, bad]),
+        (LimitExceeded, above, control.identify, Scripted(UNSURE), [good, bad]),
+        (LimitExceeded, "must be finite", control.grasp, none),
+        (PlanRefused, "None is not a step", control.grasp, nothing),
+        (PlanRefused, "is not a step", control.grasp, GraspStep(pose=nothing, force_n=3.0)),
+        (PlanRefused, "None is not a label", control.check_plan, [good], nothing),
+        (PlanRefused, "is UNKNOWN, the answer for untau", control.check_plan, [good], "UNKNOWN"),
+        (PlanRefused, "the plan is empty", control.check_plan, []),
+        (PlanRefused, "the plan is empty", control.identify, Scripted(SURE), []),
     ):
-        with pytest.raises(PlanRefused, match=complaint):
+        with pytest.raises(error, match=complaint):
             ask(*given)
+    assert bench.clock.monotonic() == began_s
     assert (bench.life.state, bench.life.fault) == (CellState.IDLE, None)
 
 

@@ -30,7 +30,7 @@ from tests.values import raising
 POSE = Pose(x_m=1e-3, rotation_rad=1.0)
 
 
-def test_operator_is_asked_and_can_stop() -> None:
+def test_operator_is_asked_and_can_stop_and_has_to_be_there() -> None:
     asked: list[str] = []
     answers = iter(["", "", "q"])
 
@@ -46,9 +46,6 @@ def test_operator_is_asked_and_can_stop() -> None:
     with pytest.raises(PositionerError, match="operator stopped"):
         positioner.present(None)
     assert "the object to identify" in asked[2]
-
-
-def test_operator_who_is_not_there_is_an_error() -> None:
     with pytest.raises(PositionerError, match="no operator"):
         OperatorPositioner(raising(EOFError())).move_to(POSE)
 

@@ -322,24 +322,18 @@ def test_a_zero_of_another_cell_counts_as_none_and_is_named(tmp_path, change, na
 def test_a_zero_of_another_control_unit_counts_as_none(make_bench, tmp_path: Path) -> None:
     """Two cells whose adapters have changed places have the same config."""
     config = quick_config()
-
-    def begun(job: str) -> Any:
-        bench = make_bench(config, folder=tmp_path / job).ready()
-        bench.simulated.remove()
-        return bench
-
-    begun("first").controller.zeroing.measure()
-    same = begun("same")
-    assert (same.controller.zeros.newest is None, same.controller.zeroing.note) == (False, "")
+    make_bench(config, folder=tmp_path / "first").start().controller.zeroing.measure()
+    same = make_bench(config, folder=tmp_path / "same").start().controller
+    assert (same.zeros.newest is None, same.zeroing.note) == (False, "")
     stored = json.loads(zero_file(tmp_path, config.name).read_text())
     del stored["format"], stored["sha256"]
     stored["hand"]["unit.boards"] = [1, 9]
     write_json(zero_file(tmp_path, config.name), SELF_ZERO, stored, error=CellError)
-    other = begun("other")
-    assert other.controller.zeros.newest is None
-    assert "with other unit.boards." in other.controller.zeroing.note
-    other.controller.zeroing.measure()
-    assert not other.controller.zeroing.note
+    other = make_bench(config, folder=tmp_path / "other").start().controller
+    assert other.zeros.newest is None
+    assert "with other unit.boards." in other.zeroing.note
+    other.zeroing.measure()
+    assert not other.zeroing.note
 
 
 def test_a_zero_far_from_the_last_one_is_no_daily_one() -> None:
