@@ -36,7 +36,6 @@ from tests.cell.commissioning.test_doctor import REAL
 from tests.cell.conftest import quick_config, small_config
 from tests.faults.campaign import CHANGES, X_AXIS
 from tests.fuzz.harness import Clock
-from tests.marks import LONG
 
 RACK = {"kind": "rack_pinion", "pinion_radius_mm": 8.0, "offset_mm": 10.0}
 SLOW_RACK = {"gripper__linkage": RACK, "gripper__approach_speed_mm_s": 5.0}
@@ -289,7 +288,8 @@ def test_a_person_without_hardware_moves_the_fingers_from_a_second_terminal(cell
 FLEXITAC, USKIN = (load_config(ROOT / "config" / f"{name}.yaml") for name in ("flexitac", "uskin"))
 
 
-@pytest.mark.parametrize("profile", ["12x32", *(LONG(name) for name in ("16x32", "16x16"))])
+@pytest.mark.long
+@pytest.mark.parametrize("profile", ["12x32", "16x32", "16x16"])
 def test_a_cell_grasps_and_records_on_boards_of_each_profile(make_bench, profile, tmp_path) -> None:
     config = changed_config(
         FLEXITAC,

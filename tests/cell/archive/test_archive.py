@@ -423,7 +423,7 @@ def test_commands_work_on_a_selection(aged: str, tmp_path: Path) -> None:
 
 def test_training_learns_the_spread(aged: str, tmp_path: Path) -> None:
     result = tmp_path / "a.json"
-    call("model", "train", aged, "-o", tmp_path / "a.npz", "--json", result)
+    call("model", "train", aged, "-o", tmp_path / "a.npz", "--object", "ball", "--json", result)
     assert 0.0 < json.loads(result.read_text())["spread"]["offset_sd_mm"] < 3.0
 
 

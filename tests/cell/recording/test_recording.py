@@ -137,19 +137,16 @@ def record(path: Path, n_grasps: int = 3) -> list[Grasp]:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Grasp]]:
-    path = tmp_path_factory.mktemp("recording") / "whole.mcap"
-    return path, record(path)
-
-
-@pytest.fixture
-def three(whole: tuple[Path, list[Grasp]]) -> Path:
+def three(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The recording of three grasps."""
-    return whole[0]
+    path = tmp_path_factory.mktemp("recording") / "three.mcap"
+    record(path)
+    return path
 
 
-def test_recording_holds_all_that_happened(whole) -> None:
-    path, grasps = whole
+def test_recording_holds_all_that_happened(tmp_path) -> None:
+    path = tmp_path / "whole.mcap"
+    grasps = record(path)
     assert path.stat().st_size < 38_000
     recording = read_recording(path)
     assert same_grasps(grasps, recording.grasps, atol=2e-9)
@@ -186,10 +183,10 @@ def test_recording_holds_all_that_happened(whole) -> None:
     assert not recording.cycles.force_n.flags.writeable
 
 
-def test_foreign_reader_finds_schemas_that_each_message_fits(whole) -> None:
+def test_foreign_reader_finds_schemas_that_each_message_fits(three) -> None:
     """They have plain types only, so that viewers plot them."""
     validators: dict[str, jsonschema.Draft202012Validator] = {}
-    with whole[0].open("rb") as file:
+    with three.open("rb") as file:
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
             assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
             content = json.loads(message.data)
@@ -206,14 +203,14 @@ def test_foreign_reader_finds_schemas_that_each_message_fits(whole) -> None:
     assert set(validators) == set(recording_schema.MODELS)
 
 
-def test_further_samples_of_the_taxels_come_back(whole, tmp_path) -> None:
+def test_further_samples_of_the_taxels_come_back(three, tmp_path) -> None:
     shear = np.arange(96, dtype=np.uint16).reshape(2, 24, 2)
     with closing(Recorder(tmp_path / "shear.mcap", Clock(100.0), pads=PADS)) as recorder:
         for number in (0, 1):
             frame = make_frame(0.02 * number, np.random.default_rng(number))
             recorder.frame(replace(frame, extra=shear[number]))
     np.testing.assert_array_equal(read_recording(tmp_path / "shear.mcap").frames.extra, shear)
-    frames = read_recording(whole[0]).frames
+    frames = read_recording(three).frames
     assert frames.extra.shape == (len(frames), 24, 0)
 
 
