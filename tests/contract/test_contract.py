@@ -465,11 +465,6 @@ ABORT = 0x80
 READ_OBJECT = 0x40
 WRITE_2, WRITE_4, WRITTEN = 0x2B, 0x23, 0x60
 
-NO_SUCH_OBJECT = 0x0602_0000
-NO_SUCH_SUBINDEX = 0x0609_0011
-READ_ONLY = 0x0601_0002
-UNKNOWN_COMMAND = 0x0504_0001
-
 
 def request(command: int, index: int, subindex: int, value: int = 0) -> bytes:
     return struct.pack("<BHBL", command, index, subindex, value)
@@ -530,17 +525,18 @@ def test_the_heartbeat_comes_as_often_as_it_is_set(unit) -> None:
     assert states[-1] == OPERATIONAL
 
 
-@pytest.mark.parametrize(
-    ("asked", "code"),
-    [
-        (request(READ_OBJECT, 0x5FFF, 0), NO_SUCH_OBJECT),
-        (request(READ_OBJECT, 0x1018, 9), NO_SUCH_SUBINDEX),
-        (request(WRITE_4, 0x1018, 1, 1), READ_ONLY),
-        (request(0xE0, 0x1018, 1), UNKNOWN_COMMAND),
-    ],
-    ids=["no object", "no sub-index", "read only", "no command"],
-)
-def test_what_cannot_be_done_is_aborted_with_its_code(unit, asked: bytes, code: int) -> None:
+REFUSED = {
+    "no object": (request(READ_OBJECT, 0x5FFF, 0), 0x0602_0000),
+    "no sub-index": (request(READ_OBJECT, 0x1018, 9), 0x0609_0011),
+    "read only": (request(WRITE_4, 0x1018, 1, 1), 0x0601_0002),
+    "no command": (request(0xE0, 0x1018, 1), 0x0504_0001),
+}
+"""Requests, each with the code of its abort (CiA 301)."""
+
+
+@pytest.mark.parametrize("why", REFUSED)
+def test_what_cannot_be_done_is_aborted_with_its_code(unit, why: str) -> None:
+    asked, code = REFUSED[why]
     answer = unit.sdo(asked)
     assert answer[0] == ABORT
     assert answer[1:4] == asked[1:4]

@@ -374,16 +374,6 @@ def axis_fails(row: FaultRow) -> Observed:
         return recovered(cell, row, seen, partial(cell.controller.grasp, STEP))
 
 
-def drive_fails_in_a_hold(row: FaultRow) -> Observed:
-    """Inject while the part is held: the grip is kept, and the next motion refuses."""
-    with campaign_cell(CHANGES | dict(row.changes)) as cell:
-        observed = observe(cell, row.injected)
-        if observed.reaction != "NOTHING":
-            return observed
-        refused = observe(cell, job=lambda one: one.controller.grasp(STEP))
-        return recovered(cell, row, refused, partial(cell.controller.grasp, STEP))
-
-
 # -- The CAN link and the control unit -------------------------------------------------------------
 
 

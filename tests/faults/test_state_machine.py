@@ -520,28 +520,24 @@ def drive(*, fault: str = CAN_OFF) -> None:
         cell.identify(3.0)
 
 
-WRITTEN = {
-    (Gripper, "keep_grip"): (
-        *("torque_enable", 0, CAN_OFF),
-        "torque of servo 1 off with a part in the grip",
-    ),
-    (Gripper, "clear_fault"): (
-        *("torque_enable", 1, "servo1.overload@contact+50ms"),
-        "torque of servo . on while CLEARING, without a reset",
-    ),
-    (CellLifecycle, "tick"): (
-        *("goal_current", 200, CAN_OFF),
-        r"goal currents from .* to \[200, .* while ABORTED",
-    ),
-}
-"""What a method writes to the servos after its work, the fault before it, and what is found."""
+LIMP = "torque of servo 1 off with a part in the grip"
+TORQUE = "torque of servo . on while CLEARING, without a reset"
+PUSH = r"goal currents from .* to \[200, .* while ABORTED"
 
 
-@pytest.mark.parametrize(("owner", "method"), WRITTEN)
+@pytest.mark.parametrize(
+    ("owner", "method", "written", "fault", "complaint"),
+    [
+        (Gripper, "keep_grip", ("torque_enable", 0), CAN_OFF, LIMP),
+        (Gripper, "clear_fault", ("torque_enable", 1), "servo1.overload@contact+50ms", TORQUE),
+        (CellLifecycle, "tick", ("goal_current", 200), CAN_OFF, PUSH),
+    ],
+)
 def test_a_grip_that_a_fault_opens_and_torque_that_comes_by_itself_are_found(
-    monkeypatch: pytest.MonkeyPatch, owner: type, method: str
+    monkeypatch, *, owner: type, method: str, written: tuple[str, int], fault: str, complaint: str
 ) -> None:
-    register, value, fault, complaint = WRITTEN[owner, method]
+    """The method writes to the servos after its work."""
+    register, value = written
     plain = getattr(owner, method)
 
     def spoilt(it: Any, **options: Any) -> None:

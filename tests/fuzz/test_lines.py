@@ -7,7 +7,6 @@ import re
 import struct
 from collections.abc import Iterator, Sequence
 from contextlib import closing, suppress
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -25,15 +24,13 @@ from gripper.dynamixel.control_table import (
 from gripper.dynamixel.protocol2 import CheckedPacketHandler, StatusPacket
 from gripper.dynamixel.serial_port import SdkPort
 from gripper.errors import GripperError
-from simulator.can.messages import BurstFormat, force_bytes
+from simulator.can.messages import BurstFormat
 from simulator.clock import VirtualClock
 from simulator.servo.protocol2 import Instruction, crc16, encode_status
 from tactile.can.bus import BulkSlcanBus
-from tactile.control_unit.settings import LinkSettings
-from tactile.control_unit.watch import ForceFlow
 from tactile.frames.transport import FrameAssembler, FrameFormat
 from tactile.layout import paper_layout
-from tactile.source import ForceMessage, ForceStatus, TactileFrame
+from tactile.source import TactileFrame
 from tests.fuzz.harness import bad_input, damages, disturbed, pieces, spoilt
 from tests.gripper.conftest import ScriptedStream
 
@@ -73,33 +70,6 @@ def test_frames_are_made_of_what_came_and_never_go_back(*, size, first, steps, h
             frames.append(frame)
     assert assembler.counts.complete == len(frames)
     return "whole frames" if frames else "dropped"
-
-
-newtons = st.floats(-70.0, 70.0)
-forces = st.builds(
-    ForceMessage,
-    t_s=st.just(0.0),
-    counter=st.integers(0, 15),
-    status=st.integers(0, 15).map(ForceStatus),
-    force_n=st.tuples(newtons, newtons),
-    centre_taxels=st.none() | st.tuples(st.floats(-9.0, 9.0), st.just(0.0)),
-).map(force_bytes)
-
-
-@bad_input(sent=st.lists(forces, min_size=1, max_size=6), harm=damages(at_most=3))
-def test_force_messages_are_those_that_came_each_once(sent, harm):
-    messages = disturbed(sent, harm)
-    stream = ForceFlow("the unit", LinkSettings(force_period_s=0.003))
-    accepted = [stream.push(data, 0.003 * n) for n, data in enumerate(messages)]
-    taken = [force_bytes(message) for message in accepted if message is not None]
-    assert all(data in messages for data in taken)
-    assert all(before != after for before, after in pairwise(taken))
-    statistics = stream.counts
-    assert statistics.received == len(taken)
-    assert len(messages) == sum(
-        (statistics.received, statistics.repeated, statistics.late, statistics.damaged)
-    )
-    return "all are used" if len(taken) == len(messages) else "some are dropped"
 
 
 _DATA = re.compile(

@@ -223,10 +223,9 @@ class Cell:
         drive_sds: tuple[float, float] = (0.1, 0.02),
         zero_off: tuple[int, int] = (0, 0),
         pinion_radius_m: float = 0.012,
-        offset_m: float = 0.0,
         **settings: Any,
     ) -> None:
-        """Build the cell; ``turned`` to ``offset_m`` make its settings differ from its mechanics.
+        """Build the cell; from ``turned`` on, its settings may differ from its mechanics.
 
         ``width_m`` to ``present`` are those of the `Part`.
         ``catalogue_torque``: the motors have the torque of the catalogue, not of the data sheet.
@@ -248,7 +247,7 @@ class Cell:
         own: Linkage
         if linkage == "parallel":
             theirs: Any = ParallelogramLinkage(link_m=0.06)
-            own = ParallelLinkage(link_m=0.06, offset_m=offset_m, n_servos=n_servos)
+            own = ParallelLinkage(link_m=0.06, n_servos=n_servos)
         else:
             theirs = RackLinkage(pinion_radius_m=pinion_radius_m)
             own = RackPinion(pinion_radius_m=pinion_radius_m, n_servos=n_servos)

@@ -31,6 +31,12 @@ def true_friction_a(motor: Any) -> float:
     return float(motor.friction_nm() / motor.kt_nm_a)
 
 
+def check_friction(cell: Any, rel: float = 0.1) -> None:
+    """Check that the friction of each servo is known."""
+    known_a = [drive.breakaway_a for drive in drives(cell)]
+    assert known_a == pytest.approx([true_friction_a(motor) for motor in cell.motors], rel=rel)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("friction", [(0.5, 0.5), (3.0, 1.0), LONG((3.0, 3.0)), LONG((1.0, 0.5))])
 def test_a_gripper_that_never_measured_finds_the_friction_of_each_servo(
@@ -43,9 +49,8 @@ def test_a_gripper_that_never_measured_finds_the_friction_of_each_servo(
     assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
     assert cell.force_n == pytest.approx(6.0, abs=0.6)
     assert cell.peak_n < cell.settings.force_max_n
-    for motor, drive in zip(cell.motors, drives(cell), strict=True):
-        assert drive.measured
-        assert drive.breakaway_a == pytest.approx(true_friction_a(motor), rel=0.1)
+    assert all(drive.measured for drive in drives(cell))
+    check_friction(cell)
     cell.gripper.release()
     # From now on it is known: the second approach takes no longer than another gripper's.
     began_s = cell.clock.monotonic()
@@ -83,8 +88,8 @@ def test_one_finger_after_the_other_shows_its_torque(make_started) -> None:
     for motor, drive in zip(cell.motors, drives(cell), strict=True):
         assert drive.rising_a_nm == pytest.approx(1.0 / motor.kt_nm_a, rel=0.1)
         assert drive.falling_a_nm == pytest.approx(1.0 / motor.kt_nm_a, rel=0.1)
-        assert drive.breakaway_a == pytest.approx(true_friction_a(motor), rel=0.1)
         assert drive.load_sd < 0.1
+    check_friction(cell)
 
 
 def test_a_closing_finger_whose_friction_is_more_than_was_measured_moves(make_started) -> None:
@@ -94,8 +99,8 @@ def test_a_closing_finger_whose_friction_is_more_than_was_measured_moves(make_st
         cell.settings.drives.put(servo.servo_id, drive.with_friction(0.25))
     cell.gripper.measure_friction()
     assert cell.gripper.read_feedback().aperture_m == pytest.approx(0.03, abs=0.001)
+    check_friction(cell)
     for motor, drive in zip(cell.motors, drives(cell), strict=True):
-        assert drive.breakaway_a == pytest.approx(true_friction_a(motor), rel=0.1)
         assert drive.temperature_c == pytest.approx(motor.temperature_c, abs=1.0)
 
 
@@ -108,8 +113,7 @@ def test_ordinary_grasps_follow_grease_that_warms(make_started) -> None:
             motor.friction_factor = _CATALOGUE * 1.3 * 0.96**n_grasps
         assert cell.gripper.grasp(ForceRamp.linear(4.0, 20.0)).result in PRESSED
         cell.gripper.release()
-    for motor, drive in zip(cell.motors, drives(cell), strict=True):
-        assert drive.breakaway_a == pytest.approx(true_friction_a(motor), rel=0.08)
+    check_friction(cell, rel=0.08)
     assert not cell.gripper.read_drives().notes
 
 

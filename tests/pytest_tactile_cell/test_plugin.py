@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import LED, TORQUE_ENABLE
 from gripper.dynamixel.serial_port import SerialStream
 from gripper.errors import BusTimeout
-from pytest_tactile_cell.process import CellProcessError
+from pytest_tactile_cell.process import CellProcess, CellProcessError
 from tactile.errors import FrameTimeout
 from tests import blocks
 from tests.cell.conftest import COARSE_PADS
@@ -325,6 +326,12 @@ def test_the_runtime_of_a_host_program_shows_the_true_force_and_takes_faults(
 CONTRACT = Path(__file__).parents[1] / "contract"
 
 
+def servos_of(cell: CellProcess) -> closing[ServoBus]:
+    """Return the servo bus of a process, as another program opens it."""
+    stream = SerialStream(cell.servo_port, cell.servo_baud_rate)
+    return closing(ServoBus(stream, baudrate=cell.servo_baud_rate, clock=time))
+
+
 @pytest.mark.real_time
 @pytest.mark.usefixtures("free_machine")
 def test_a_process_serves_both_ports_and_takes_faults(cell_process, inject_fault) -> None:
@@ -341,9 +348,7 @@ def test_a_process_serves_both_ports_and_takes_faults(cell_process, inject_fault
     with pytest.raises(TimeoutError, match=r"0\.00 N after 0\.1 s, expected 1 N"):
         cell.wait_for_grip(1.0, timeout_s=0.1)
 
-    stream = SerialStream(cell.servo_port, cell.servo_baud_rate)
-    bus = ServoBus(stream, baudrate=cell.servo_baud_rate, clock=time)
-    try:
+    with servos_of(cell) as bus:
         assert [bus.ping(i).servo_id for i in cell.servo_ids] == [1, 2]
         fault = inject_fault("servo1.off")
         with pytest.raises(TimeoutError):
@@ -351,8 +356,6 @@ def test_a_process_serves_both_ports_and_takes_faults(cell_process, inject_fault
         fault.clear()
         fault.clear()
         assert bus.ping(1).servo_id == 1
-    finally:
-        bus.close()
 
 
 @pytest.mark.long
@@ -458,14 +461,10 @@ def test_the_contract_holds_over_real_ports_and_never_touches_a_held_part(cell_p
     assert count["passed"] > 20, last
     assert "needs torque: --allow-motion" in result.stdout
 
-    stream = SerialStream(cell.servo_port, cell.servo_baud_rate)
-    bus = ServoBus(stream, baudrate=cell.servo_baud_rate, clock=time)
-    bus.write(2, TORQUE_ENABLE, 1)
-    bus.close()
+    with servos_of(cell) as bus:
+        bus.write(2, TORQUE_ENABLE, 1)
     result = contract("-k", "hardware and read_back", "--allow-motion")
     assert result.returncode == 1
     assert "servo 2 holds torque, a part may be in the grip: nothing was written" in result.stdout
-    stream = SerialStream(cell.servo_port, cell.servo_baud_rate)
-    bus = ServoBus(stream, baudrate=cell.servo_baud_rate, clock=time)
-    assert (bus.read(2, TORQUE_ENABLE), bus.read(1, LED)) == (1, 0)
-    bus.close()
+    with servos_of(cell) as bus:
+        assert (bus.read(2, TORQUE_ENABLE), bus.read(1, LED)) == (1, 0)

@@ -23,7 +23,6 @@ from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
 from simulator.devices import CellDevices
 from simulator.errors import EndpointError, PartGripped, SimulatorError, SimulatorSettingsError
-from simulator.faults.injector import FaultInjector
 from simulator.realtime.hands import HELP, Hands
 from simulator.realtime.process import FORGIVEN_S, PIECE_S, RealTimeCell, serve
 from simulator.realtime.requests import CellRequests, PositionerServer
@@ -269,21 +268,21 @@ def test_an_old_link_is_replaced_and_a_foreign_one_left(device, tmp_path):
 
 
 @pytest.fixture
-def devices() -> CellDevices:
-    cell = CellDevices(SimulatorSettings())
-    cell.unit.send = lambda ready_s, _can_id, _messages: ready_s
-    cell.unit.advance(0.1)
-    return cell
+def cell() -> SimulatedCell:
+    """A cell in virtual time, whose control unit has booted."""
+    made = SimulatedCell()
+    made.clock.sleep(0.1)
+    return made
 
 
 @pytest.fixture
-def injector(devices: CellDevices) -> FaultInjector:
-    return FaultInjector(devices, 0.1)
+def devices(cell: SimulatedCell) -> CellDevices:
+    return cell.devices
 
 
 @pytest.fixture
-def requests(devices: CellDevices, injector: FaultInjector) -> CellRequests:
-    return CellRequests(devices, injector)
+def requests(cell: SimulatedCell) -> CellRequests:
+    return CellRequests(cell.devices, cell.injector)
 
 
 def test_objects_are_placed_and_the_reply_says_where_they_rest(requests, devices) -> None:
@@ -439,10 +438,9 @@ def test_the_socket_belongs_to_its_owner_and_replaces_a_stale_one(tmp_path) -> N
 class At:
     """Hands at a cell in virtual time."""
 
-    def __init__(self) -> None:
-        self.cell = SimulatedCell()
-        self._requests = CellRequests(self.cell.devices, self.cell.injector)
-        self.do = Hands(self._requests, self.cell.clock.sleep).do
+    def __init__(self, cell: SimulatedCell, requests: CellRequests) -> None:
+        self.cell, self._requests = cell, requests
+        self.do = Hands(requests, cell.clock.sleep).do
 
     @property
     def state(self) -> dict[str, Any]:
@@ -454,8 +452,8 @@ class At:
 
 
 @pytest.fixture
-def at() -> At:
-    return At()
+def at(cell: SimulatedCell, requests: CellRequests) -> At:
+    return At(cell, requests)
 
 
 def test_fingers_are_moved_and_left(at: At) -> None:
