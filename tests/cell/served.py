@@ -39,8 +39,13 @@ from tests.fuzz.harness import Clock
 from tests.values import make_shape
 from tests.waiting import LIMIT_S, until
 
-BRISK = {"gripper__aperture_open_mm": 12.0, "sequence__force_n": [2.0, 4.0]}
-"""Short ways and ramps for plugins that need not name an object with certainty."""
+BRISK = {
+    "gripper__aperture_open_mm": 12.0,
+    "sequence__force_n": [2.0, 4.0],
+    "recognition__recognizer": "level_check",
+    "recognition__shape": False,
+}
+"""Short ways and ramps, and a quick training, for plugins that need not name an object."""
 LEASE_S = 60.0
 """Time-out of leases: only the clock of the test lets it pass."""
 

@@ -1,4 +1,4 @@
-"""A supervisor that runs a unit file as systemd does: readiness, watchdog, kill mode, restart."""
+"""A supervisor that runs a unit file as systemd does: readiness, kill mode, restart."""
 
 import os
 import signal
@@ -29,14 +29,11 @@ class Supervisor(threading.Thread):
         self.link.settimeout(TURN_S)
         self.main: subprocess.Popen[bytes]
         self.sent: list[str] = []
-        """What the service has sent, without the food of its watchdog."""
-        self.fed_s = float("inf")
+        """What the service has sent."""
         self.ending = False
 
     def launch(self) -> None:
-        limit_us = 1_000_000 * int(self.unit["WatchdogSec"])
-        told = {"NOTIFY_SOCKET": self.link.getsockname(), "WATCHDOG_USEC": str(limit_us)}
-        self.fed_s = float("inf")
+        told = {"NOTIFY_SOCKET": self.link.getsockname()}
         words = [word.strip('"') for word in self.unit["ExecStart"].split()]
         quiet = {"stdout": subprocess.DEVNULL, "start_new_session": True}
         self.main = subprocess.Popen(words, env=os.environ | told, **quiet)
@@ -50,11 +47,11 @@ class Supervisor(threading.Thread):
                     return True
         return False
 
-    def stop(self, first: str) -> None:
+    def stop(self) -> None:
         """End all that runs, as the only kill mode that the unit may have says."""
         assert self.unit["KillMode"] == "control-group"
         end_s = time.monotonic() + float(self.unit["TimeoutStopSec"])
-        for number in (signal.Signals[first], signal.SIGKILL):
+        for number in (signal.Signals[self.unit["KillSignal"]], signal.SIGKILL):
             with suppress(ProcessLookupError):
                 os.killpg(self.main.pid, number)
             while self.runs() and time.monotonic() < end_s:
@@ -64,22 +61,14 @@ class Supervisor(threading.Thread):
     def turn(self) -> None:
         """Take what the service sends."""
         with suppress(TimeoutError):
-            for line in self.link.recv(4096).decode().splitlines():
-                if line in ("WATCHDOG=1", "READY=1"):
-                    self.fed_s = time.monotonic()
-                if line != "WATCHDOG=1":
-                    self.sent.append(line)
+            self.sent += self.link.recv(4096).decode().splitlines()
 
     def run(self) -> None:
         while not self.ending:
             self.launch()
-            first = self.unit["KillSignal"]
             while not self.ending and self.main.poll() is None:
                 self.turn()
-                if time.monotonic() - self.fed_s > float(self.unit["WatchdogSec"]):
-                    first = self.unit["WatchdogSignal"]
-                    break
-            self.stop(first)
+            self.stop()
             end_s = time.monotonic() + float(self.unit["RestartSec"])
             while not self.ending and time.monotonic() < end_s:
                 self.turn()

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
+from unittest.mock import Mock, create_autospec
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ from cell.commissioning.findings import Finding, Verdict
 from cell.config.file import changed_config, config_text, load_config, schema_text
 from cell.config.model import CellConfig
 from cell.control.records import GraspRecord
-from cell.errors import ConfigError, RecordingError
+from cell.errors import ConfigError, RecordingError, ReportError
 from cell.interfaces.cli import main, terminal
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands.run import confusion_table, result_lines
@@ -34,6 +34,7 @@ from cell.recording.dataset import read_dataset, write_dataset
 from cell.recording.reader import read_recording
 from cell.recording.recorder import Recorder
 from cell.report.confusion import score
+from cell.runtime.main_job import teach_and_identify
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckTrainer
 from tests.cell.conftest import call, once, plain_grasp, quick_config
@@ -60,7 +61,7 @@ def fail(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
         with pytest.raises(SystemExit) as caught:
             main()
         assert caught.value.code == code
-        return " ".join(capsys.readouterr().err.split())
+        return " ".join("".join(capsys.readouterr()).split())
 
     yield run
     for number, handler in before.items():
@@ -107,23 +108,46 @@ def read_json(path: Path) -> Any:
 # -- commands on the cell --------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_run_teaches_identifies_and_writes_everything(quick, tmp_path, monkeypatch) -> None:
+@pytest.fixture
+def main_job(taught: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The main job in `run`: it returns the result of an earlier one."""
+    job = create_autospec(teach_and_identify, return_value=replace(taught.result))
+    monkeypatch.setattr("cell.interfaces.cli.commands.run.teach_and_identify", job)
+    return job
+
+
+def test_run_shows_and_writes_what_the_main_job_returns(
+    quick, tmp_path, main_job, monkeypatch
+) -> None:
     monkeypatch.setattr("cell.report.page.render_report", str)
     out, report = tmp_path / "elsewhere", tmp_path / "json" / "run.json"
     text = call(
         *("run", "--config", quick, "--object", "ball", "--object", "box", "--teach", 3),
         *("--trials", 1, "--out", out, "--seed", 7, "--json", report),
     )
+    ((_, config), asked) = main_job.call_args
+    assert (config.seed, asked["folder"].parent) == (7, out)
+    assert (asked["labels"], asked["n_teach"], asked["n_trials"]) == (["ball", "box"], 3, 1)
     data = read_json(report)
-    assert (data["n_taught"], data["labels"]) == (6, ["ball", "box"])
+    assert (data["n_taught"], data["labels"]) == (10, ["ball", "box"])
     assert data["health"]["tactile"]["lost"] == 0
-    for name in ("report", "recording", "dataset", "model"):
-        assert Path(data[name]).parent.parent == out
+    for name, file in (("report", "report.html"), ("recording", "recording.mcap")):
+        assert data[name] == str(asked["folder"] / file)
+    for name in ("report", "dataset", "model"):
         assert Path(data[name]).stat().st_size > 1000
         assert data[name] in text
     assert "This cell, all grasps: " in text
-    assert len(read_dataset(data["dataset"])) == 6
+
+
+def test_a_report_that_cannot_be_written_does_not_cost_the_result(
+    quick, main_job, fail, monkeypatch
+) -> None:
+    run = "cell.interfaces.cli.commands.run."
+    monkeypatch.setattr(f"{run}recorded_report", str)
+    monkeypatch.setattr(f"{run}write_report", raising(ReportError("cannot write: no space left")))
+    said = fail("run", "-c", quick)
+    assert "This cell, all grasps: " in said
+    assert said.endswith("error (fault 504): cannot write: no space left")
 
 
 @pytest.mark.parametrize("width", [40, 80, None])
@@ -157,15 +181,14 @@ def test_the_paper_is_put_beside_its_five_objects(taught, capsys) -> None:
 @pytest.mark.slow
 def test_teach_extends_a_data_set_with_other_poses(quick, tmp_path) -> None:
     path = tmp_path / "d.npz"
-    call("teach", "ball", "-n", 2, "-o", path, "-c", quick, "--json", tmp_path / "t.json")
+    call("teach", "ball", "-n", 1, "-o", path, "-c", quick, "--json", tmp_path / "t.json")
     data = read_json(tmp_path / "t.json")
-    assert (data["label"], data["n_grasps"], data["dataset"]) == ("ball", 2, str(path))
-    assert len(read_recording(data["recording"]).grasps) == 2
+    assert (data["label"], data["n_grasps"], data["dataset"]) == ("ball", 1, str(path))
+    assert len(read_recording(data["recording"]).grasps) == 1
     text = call("teach", "part_7", "--object", "box", "-n", 1, "-o", path, "-c", quick)
     assert "1 grasps of part_7 added" in text
-    assert "(2 before)" in text
-    grasps = read_dataset(path)
-    assert [grasp.label for grasp in grasps] == ["ball", "ball", "part_7"]
+    assert "(1 before)" in text
+    assert [grasp.label for grasp in read_dataset(path)] == ["ball", "part_7"]
 
 
 def test_teach_finds_out_before_the_first_grasp_where_it_cannot_write(
@@ -361,7 +384,8 @@ def test_commands_use_the_model_that_was_trained_last_in_the_folder(
     dataset, config, tmp_path, monkeypatch, fail
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    call("model", "train", dataset, "-o", "m.npz")
+    config.write_text(config.read_text().replace("shape: true", "shape: false"))
+    call("model", "train", dataset, "-o", "m.npz", "--recognizer", "level_check")
     result = RUNNER.invoke(app, ["identify", str(dataset), "-c", str(config)])
     assert "the model is m.npz of the last `model train` here" in result.stderr
     assert "grasp    9: " in result.stdout
@@ -486,7 +510,6 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
         (2, "nonsense", "No such command"),
         (2, "run --teach 2", "--teach"),
         (2, "run --object unicorn", "the simulated cell has no object unicorn; it has oval"),
-        (2, "run --seed -1", "--seed"),
         (2, "run -c {operated}", "name the available objects"),
         (2, "identify -m m.npz --keep perhaps", "--keep"),
         (2, "identify x.npz -m m.npz --keep always", "--keep is for a cell"),
@@ -495,7 +518,6 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
         (2, "recording recover x.mcap -o y.npz", "the name of a recording ends in .mcap"),
         (2, "model train x.npz -o m.npz --recognizer magic", "no recognizer 'magic' is installed"),
         (2, "model evaluate {dataset} --fuse 1,x", "--fuse"),
-        (2, "hand release", "--confirm"),
         (2, "serve --listen 0.0.0.0 --modbus 0", "serve.allow is empty"),
         (2, "serve -c {config} --out served", "no interface is open: set serve.http_port"),
         (2, "config check {undrawn}", "as in diameter=6mm"),
@@ -585,20 +607,6 @@ def test_a_signal_stops_the_job_and_keeps_grip_recording_and_what_was_grasped(
         assert "recording.mcap: use it with `tactile-cell model train`" in said
 
 
-def test_a_report_that_cannot_be_written_does_not_cost_the_result(
-    config, taught, fail, monkeypatch
-) -> None:
-    from cell.errors import ReportError
-
-    run, printed = "cell.interfaces.cli.commands.run.", list[str]()
-    monkeypatch.setattr(f"{run}teach_and_identify", lambda *_a, **_k: replace(taught.result))
-    monkeypatch.setattr(f"{run}recorded_report", str)
-    monkeypatch.setattr(f"{run}write_report", raising(ReportError("cannot write: no space left")))
-    monkeypatch.setattr(f"{run}result_lines", lambda *_: printed.append("result") or ())
-    assert fail("run", "-c", config).endswith("error (fault 504): cannot write: no space left")
-    assert printed == ["result"]
-
-
 def test_the_version_is_printed() -> None:
     assert call("--version") == f"tactile-cell {importlib.metadata.version('tactile-cell')}\n"
 
@@ -666,13 +674,13 @@ def test_a_fault_tells_its_number_what_became_of_the_grip_and_where_the_recordin
 
 def test_sort_prints_how_many_parts_lie_where(config, model, tmp_path) -> None:
     report = tmp_path / "sort.json"
-    printed = call("sort", "-c", config, "-m", model, "--parts", 2, "--json", report)
-    assert "2 parts sorted, 100 % with a name, 0 rejected" in printed
+    printed = call("sort", "-c", config, "-m", model, "--parts", 1, "--json", report)
+    assert "1 parts sorted, 100 % with a name, 0 rejected" in printed
     assert "mistakes: none" in printed
     written = read_json(report)
-    assert written["places"] == {"ball": 1, "box": 1, "reject": 0}
+    assert written["places"] == {"ball": 1, "box": 0, "reject": 0}
     events = [event["text"] for event in read_recording(written["recording"]).events]
-    assert "box at box" in events
+    assert "ball at ball" in events
     page = Path(written["recording"]).with_name("report.html")
     assert call("recording", "report", written["recording"]) == f"report: {page}\n"
-    assert "released at: box" in page.read_text("utf-8")
+    assert "released at: ball" in page.read_text("utf-8")

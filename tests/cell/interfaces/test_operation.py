@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -54,7 +54,6 @@ from tests.cell.conftest import REAL, MakeBench, call, once, small_config
 from tests.cell.interfaces.hosts import Client
 from tests.cell.served import GRASP, Served
 from tests.faults.campaign import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
-from tests.hil.program import PROGRAM
 from tests.hil.supervisor import read_unit
 from tests.waiting import LIMIT_S, until
 
@@ -478,35 +477,52 @@ serve: {{lease_timeout_s: 20}}
 """
 
 
-@pytest.mark.slow
-def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(tmp_path) -> None:
+@pytest.fixture
+def run_serve(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Any]:
+    """Return what runs `serve` to its end, with what happens while it is open; it may signal."""
+
+    def run(meanwhile: Callable[..., object], *options: object, **values: str) -> Any:
+        monkeypatch.setattr(serving, "report_until", meanwhile)
+        (tmp_path / "cell.yaml").write_text(SMALL.format(**values))
+        words = ["serve", "-c", tmp_path / "cell.yaml", *PORTS, *options]
+        ended = CliRunner().invoke(app, [*map(str, words)])
+        assert ended.exit_code == 0, ended.output
+        return ended
+
+    return run
+
+
+def test_serve_ends_in_order_while_a_job_waits_and_clients_are_connected(
+    run_serve, tmp_path
+) -> None:
     (tmp_path / "token").write_text(TOKEN)
-    (tmp_path / "cell.yaml").write_text(SMALL.format(zero="on_demand", kind="callback"))
-    options = ("serve", "--speed", "0", "-c", "cell.yaml", *PORTS, "--token-file", "token")
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen([*PROGRAM, *options], cwd=tmp_path, text=True, **pipes) as process:
-        try:
-            line = json.loads(process.stdout.readline())
-            assert set(line) == {"listen", "modbus_port", "xmlrpc_port", "http_port"}
-            with ServerProxy(f"http://127.0.0.1:{line['xmlrpc_port']}") as cell:
-                lease = cell.acquire("robot")
-                assert cell.grip(lease, 3.0) == 1
-                until(lambda: cell.pose_seq() or cell.alive(lease))
-                process.send_signal(signal.SIGTERM)
-                said = process.communicate(timeout=LIMIT_S)[1]
-        finally:
-            process.kill()
-    assert process.returncode == 0
-    assert f"page: http://127.0.0.1:{line['http_port']}/ (its token is in token)\n" in said
-    assert TOKEN not in said
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    services = []
+
+    def meanwhile(over: threading.Event, service: Any, _manager: Any) -> None:
+        with ServerProxy(f"http://127.0.0.1:{port}") as cell:
+            assert cell.grip(cell.acquire("robot"), 3.0) == 1
+            until(cell.pose_seq)
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert over.wait(LIMIT_S)
+            until(lambda: service.plugin.job().outcome_number >= 4)
+            services.append(service)
+
+    options = ("--xml-rpc", port, "--token-file", tmp_path / "token")
+    ended = run_serve(meanwhile, *options, zero="on_demand", kind="callback")
+    plugin = services[0].plugin
+    assert (plugin.job().outcome, plugin.status().state) == ("CANCELED", "STOPPED")
+    line = json.loads(ended.stdout)
+    assert set(line) == {"listen", "modbus_port", "xmlrpc_port", "http_port"}
+    where = f"page: http://127.0.0.1:{line['http_port']}/ (its token is in {tmp_path / 'token'})"
+    assert where in ended.stderr.replace("\n", " ")
+    assert TOKEN not in ended.output
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("moment", ["self-zero of the start", "ramp of a job"])
-def test_a_signal_first_stops_the_motion(meddle, monkeypatch, tmp_path, moment) -> None:
-    starts = moment == "self-zero of the start"
-    zero = "always" if starts else "on_demand"
-    (tmp_path / "cell.yaml").write_text(SMALL.format(zero=zero, kind="simulated"))
+def test_a_signal_first_stops_the_motion(meddle, run_serve, moment) -> None:
     pressed_n: list[float] = []
 
     def arrange(made: Any) -> None:
@@ -530,10 +546,9 @@ def test_a_signal_first_stops_the_motion(meddle, monkeypatch, tmp_path, moment) 
         until(lambda: service.plugin.job().outcome_number >= 4)
         assert service.plugin.job().outcome == "CANCELED"
 
-    monkeypatch.setattr(serving, "report_until", command)
     built = meddle(arrange)
-    ended = CliRunner().invoke(app, ["serve", "-c", str(tmp_path / "cell.yaml"), *PORTS])
-    assert ended.exit_code == 0, ended.output
+    zero = "always" if moment == "self-zero of the start" else "on_demand"
+    run_serve(command, zero=zero, kind="simulated")
     left_n = min(built[0].simulated.world.contact_force_n())
     assert 2.0 < pressed_n[0] < left_n + 0.8
     assert left_n < 4.0  # of 9 N

@@ -30,7 +30,7 @@ from tactile.errors import HeartbeatLost
 from tests import ROOT, blocks
 from tests.cell.conftest import COARSE_PADS, REAL
 from tests.cell.interfaces.hosts import Client
-from tests.cell.served import ended, serving
+from tests.cell.served import BRISK, ended, serving
 from tests.values import raising
 from tests.waiting import until
 
@@ -229,8 +229,8 @@ def test_faults_of_a_simulated_cell_begin_and_end_on_request(connect, capsys) ->
 
 @pytest.mark.slow
 def test_a_trainer_exchanges_the_part_and_an_own_name_is_taught(connect) -> None:
-    quick = {"tactile__layout": COARSE_PADS, "sequence__force_n": [2.0, 3.0]}
-    served, host = connect(cell={"model": None}, gripper__aperture_open_mm=11.0, **quick)
+    quick = BRISK | {"tactile__layout": COARSE_PADS, "sequence__force_n": [2.0, 3.0]}
+    served, host = connect(cell={"model": None}, **quick)
     lease = host.post("/api/lease", name="trainer")["lease"]
     place = "/api/simulation/part"
     check_refusal(*host.ask("POST", place, {"lease": lease + 1, "part": "box"}), status=403)

@@ -6,18 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from cell.config.file import changed_config, config_text
-from cell.errors import (
-    CellError,
-    ConfigError,
-    ModelError,
-    NoPartFound,
-    RequestRefused,
-)
+from cell.errors import CellError, ConfigError, ModelError, NoPartFound, RequestRefused
 from cell.evaluation.evaluate import evaluate_recognizers
 from cell.files import json_bytes
 from cell.interfaces.cli.session import job_folder
@@ -35,7 +30,6 @@ from cell.runtime.main_job import baseline
 from cell.runtime.sort import drawn_object
 from cell.runtime.tasks import Collection
 from gripper.values.outcome import GraspResult
-from gripper.values.state import GripperPhase
 from recognition.drift.drift import Drift
 from recognition.grasp import DRAWING_SOURCE
 from recognition.recognizer import UNKNOWN, Posterior
@@ -52,14 +46,13 @@ def evaluated(grasps: Any, **changes: Any) -> Any:
 
 def test_a_file_to_train_on_replaces_the_split(taught: Any) -> None:
     told: list[tuple[str, int, int]] = []
-    names, note = ["force_ramp", "level_check"], lambda *step: told.append(step)
-    result = evaluated(taught.grasps[1:9], train=taught.grasps, names=names, progress=note)
+    options = {"names": ["level_check"], "progress": lambda *step: told.append(step)}
+    result = evaluated(taught.grasps[1:9], train=taught.grasps, **options)
     assert (result.split, result.n_train, result.n_test) == ("separate files", 10, 8)
-    force_ramp, level_check = result.recognizers.values()
-    assert force_ramp.full.n == 8
-    assert force_ramp.without_aperture is not force_ramp.full
+    (level_check,) = result.recognizers.values()
+    assert level_check.full.n == 8
     assert level_check.without_aperture is level_check.full  # it has no opening to leave out
-    assert told[-1] == ("evaluate", 4, 4)
+    assert told[-1] == ("evaluate", 2, 2)
 
 
 def test_virtual_grasps_of_a_drawing_test_nothing(taught: Any) -> None:
@@ -282,21 +275,26 @@ def test_scores_count_rows_of_truth_and_columns_of_answers() -> None:
 # -- teaching ----------------------------------------------------------------------------------
 
 
-def test_teaching_goes_on_after_a_grasp_without_a_part_and_ends_where_none_has_one(bench) -> None:
-    bench.controller.start()
-    bench.once_in(GripperPhase.APPROACHING, bench.simulated.remove)
+def test_teaching_goes_on_after_a_grasp_without_a_part_and_ends_where_none_has_one() -> None:
+    held, missed = SimpleNamespace(grasp=plain_grasp("box")), NoPartFound("no contact")
     told: list[tuple[int, int]] = []
 
-    def tell(now: Collection) -> None:
-        told.append((len(now.records), now.n_missed))
+    def teach(*grasps: Any) -> Collection:
+        taken = Collection(label="box", n_planned=len(grasps))
+        controller, sequence = Mock(grasp=Mock(side_effect=grasps)), small_config().sequence
+        taken.fill(
+            *(controller, sequence),
+            seed=1,
+            on_grasp=lambda now: told.append((len(now.records), now.n_missed)),
+        )
+        return taken
 
-    taken = Collection(label="box", n_planned=2)
-    taken.fill(bench.controller, bench.config.sequence, seed=1, on_grasp=tell)
+    taken = teach(missed, missed, held, missed)
     assert [grasp.label for grasp in taken.grasps] == ["box"]
-    assert told == [(0, 1), (1, 1)]
-    bench.once_in(GripperPhase.APPROACHING, bench.simulated.remove)
-    with pytest.raises(NoPartFound):
-        Collection(label="box", n_planned=1).fill(bench.controller, bench.config.sequence, seed=1)
+    assert told == [(0, 1), (0, 2), (1, 2), (1, 3)]
+    for grasps in ([missed], [held, missed, missed, missed, held]):
+        with pytest.raises(NoPartFound):
+            teach(*grasps)
 
 
 def test_recorded_grasps_get_their_label_and_go_in_wherever_data_sets_do(taught, tmp_path) -> None:

@@ -16,12 +16,7 @@ import pytest
 from cell.control.part import Part
 from cell.control.plan import Pose
 from cell.control.states import Command
-from cell.errors import (
-    CellError,
-    CellStateError,
-    HeldByClient,
-    RequestRefused,
-)
+from cell.errors import CellError, CellStateError, HeldByClient, RequestRefused
 from cell.recording.reader import read_recording
 from cell.runtime import worker
 from cell.service import history
@@ -153,41 +148,36 @@ def test_a_person_at_the_cell_takes_the_lease_and_holds_the_job(served) -> None:
 
 
 @pytest.mark.slow
-def test_jobs_of_a_simulated_cell_are_recorded_with_who_asked(serve: Any, tmp_path: Path) -> None:
+def test_jobs_of_a_simulated_cell_are_recorded_and_the_last_answer_is_kept(
+    serve: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker, "MOST_JOBS", 2)
     served = serve(cell={"folder": tmp_path})
     service, lease = served.service, served.service.lease.acquire("first")
-    service.start(lease, {"task": "grip", "force_n": 3.0})
+    service.start(lease, KEEP)
     assert served.ended().outcome == "SUCCEEDED"
-    served.plugin.cell.simulated.inject("unit.off")
-    service.start(lease, {"task": "verify"})
-    job = served.ended()
+    for number in range(3):
+        if number == 2:
+            served.plugin.cell.simulated.inject("unit.off")
+        service.start(lease, {"task": "verify"})
+        job = served.ended()
     assert (job.outcome, job.fault_number) == ("ABORTED", service.plugin.status().fault_number)
+    # It outlives other jobs.
+    assert served.plugin.job(1).part == served.plugin.status().last_answer
+    assert served.plugin.job(1).part.label == "ball"
+    with pytest.raises(RequestRefused, match="no job 2"):
+        served.plugin.job(2)
     service.close()
     recording = read_recording(tmp_path / "recording.mcap")
     assert recording.complete
     assert [e["text"] for e in recording.events if e["kind"] in ("lease", "command", "job")] == [
         "'first' is in command",
-        "job 1: grip, force_n 3.0, present ball, by 'first'",
-        "grip succeeded",
-        "job 2: verify, by 'first'",
+        "job 1: identify, max_grasps 1, present ball, keep always, by 'first'",
+        "identify succeeded",
+        *(text for n in (2, 3) for text in (f"job {n}: verify, by 'first'", "verify succeeded")),
+        "job 4: verify, by 'first'",
         f"verify failed: {job.error}",
     ]
-
-
-@pytest.mark.slow
-def test_the_last_answer_outlives_the_jobs_that_are_kept(serve: Any, monkeypatch: Any) -> None:
-    monkeypatch.setattr(worker, "MOST_JOBS", 2)
-    served = serve(cell={})
-    lease = served.service.lease.acquire("first")
-    served.service.start(lease, KEEP)
-    served.ended()
-    for _ in range(3):
-        served.service.start(lease, {"task": "verify"})
-        served.ended()
-    assert served.plugin.job(1).part == served.plugin.status().last_answer
-    assert served.plugin.job(1).part.label == "ball"
-    with pytest.raises(RequestRefused, match="no job 2"):
-        served.plugin.job(2)
 
 
 def test_a_repeated_request_is_not_done_twice(served) -> None:
