@@ -26,7 +26,7 @@ from cell.control.records import GraspRecord, pad_array, spliced
 from cell.control.states import CellState, GraspState
 from cell.errors import CellError, CellStateError, CellStopped, NoPartFound, PlanRefused
 from cell.hand.interface import HandStatistics
-from cell.learning.shape_reading import in_words, shape_reader
+from cell.learning.shape_reading import shape_reader
 from cell.recording.reader import read_recording
 from gripper.dynamixel.bus import BusStatistics
 from gripper.errors import GripperError, LimitExceeded
@@ -463,7 +463,6 @@ def test_shape_and_size_are_fused_over_the_grasps(record: GraspRecord) -> None:
     assert {one.kind for one in told} == {answer.shape.kind}
     assert answer.shape.kind in ("sphere", "oval")  # one ball in forty is felt as an oval
     assert answer.shape.low_m < 9.5e-3 < answer.shape.high_m
-    assert f"{answer.shape.kind} of {1e3 * answer.shape.size_m:.1f} mm" in in_words(answer.shape)
 
 
 def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(record: GraspRecord) -> None:

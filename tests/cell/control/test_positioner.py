@@ -158,20 +158,6 @@ def test_the_axes_carry_an_object_out_of_the_pads_and_back_until_it_is_taken_off
     assert devices.world.placed is None
 
 
-def test_a_pose_that_no_axis_reaches_is_refused_and_nothing_moves(bench: Any) -> None:
-    bench.ready()
-    before = true_pose(bench)
-    for pose, words in (
-        (Pose(y_m=1e-3), "asks for y, which no axis moves; nothing has moved"),
-        (Pose(x_m=7e-3), "axis x was asked for 7.00 mm, its limits are -6.00 mm to 6.00 mm"),
-    ):
-        with pytest.raises(PositionerError, match=words):
-            bench.grasp(3.0, pose)
-        assert true_pose(bench) == before
-        assert bench.controller.life.state is CellState.IDLE
-    bench.grasp(3.0, Pose())
-
-
 def test_no_axis_moves_while_the_fingers_hold(bench: Any) -> None:
     bench.ready()
     positioner = bench.controller.moves.positioner
@@ -191,7 +177,7 @@ def test_no_axis_moves_while_the_fingers_hold(bench: Any) -> None:
         assert true_pose(bench) == before
 
 
-def test_a_kept_part_is_carried_to_its_place_by_the_axes(bench: Any) -> None:
+def test_the_axes_carry_and_bring_parts_and_refuse_poses_out_of_reach(bench: Any) -> None:
     there = Destination(label="ball", place="bin", pose=Pose(x_m=5e-3, roll_rad=1.0))
     bench.ready()
     with pytest.raises(CellStateError):
@@ -209,6 +195,14 @@ def test_a_kept_part_is_carried_to_its_place_by_the_axes(bench: Any) -> None:
         bench.controller.moves.carry_to(Destination(label="ball", place="far", pose=Pose(x_m=0.1)))
     assert bench.grip_n == pytest.approx(held, abs=0.3)
     bench.controller.release()
+    for pose, words in (
+        (Pose(y_m=1e-3), "asks for y, which no axis moves; nothing has moved"),
+        (Pose(x_m=7e-3), "axis x was asked for 7.00 mm, its limits are -6.00 mm to 6.00 mm"),
+    ):
+        with pytest.raises(PositionerError, match=words):
+            bench.grasp(3.0, pose)
+    assert true_pose(bench)["x_m"] == pytest.approx(5e-3, abs=NEAR_M)
+    assert bench.controller.life.state is CellState.IDLE
     bench.controller.moves.present("box")
     assert asdict(bench.grasp(3.0, AWAY).reached) == pytest.approx(asdict(AWAY), abs=NEAR_RAD)
     assert true_pose(bench) == pytest.approx(asdict(AWAY), abs=NEAR_RAD)
