@@ -286,11 +286,9 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
         (UNIT, {"unit": ControlUnitSettings(bitrate=125_000)}, FAIL, "too long for a grip"),
         (REST, "taxels.stuck_at=3:0", WARN, "1 taxel is dead: finger0.inner row 0 column 3"),
         (REST, "taxels.stuck_at=80-81:777", WARN, "2 taxels are stuck: finger1.inner row 0"),
-        (REST, "taxels.off=0.2", FAIL, "of the taxels of pad finger0.inner are bad"),
         (REST, "taxels.saturated=0", FAIL, "100% of the taxels of pad finger0.inner are bad"),
         (REST, "taxels.offset=900", FAIL, "No zero can be taken"),
         (REST, "unit.stuck", FAIL, "The counts do not change at rest"),
-        (REST, "unit.off", FAIL, "did not boot"),
         (
             *(FORCE, "can.loss=0.0003, servos.loss=0.02", WARN),
             "The line of the pads loses messages, The servos' line loses answers",

@@ -248,15 +248,12 @@ def test_one_servo_moves_both_fingers_in_larger_steps() -> None:
 BAR = make_shape("flat", 10.0, 15.9, half_mm=0.4, n_grasps=2)
 
 
-def test_what_has_no_name_is_described() -> None:
+def test_what_has_no_name_is_described_with_all_thicknesses() -> None:
     pin = make_shape("cylinder", 10.0, half_mm=0.4)
     assert after_label(UNKNOWN, pin) == ": a cylinder of 10.0 mm (9.6 to 10.4)"
     assert after_label("pin", pin) == "; cylinder, 10.0 mm (9.6 to 10.4)"
     assert after_label(UNKNOWN, None) == ""
     assert in_words(replace(pin, kind=UNCLEAR)) == "an unclear shape of 10.0 mm (9.6 to 10.4)"
-
-
-def test_all_thicknesses_are_told() -> None:
     told = "10.0 mm (9.6 to 10.4) and 15.9 mm (15.5 to 16.3)"
     assert in_words(BAR) == f"a flat object of {told}"
     assert str(BAR) == f"flat, {told}"

@@ -2,7 +2,6 @@
 
 import os
 import signal
-from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any
 
@@ -11,7 +10,6 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from cell.errors import CellError
-from cell.learning.blas import one_blas_thread
 from cell.learning.parallel import workers
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import train
@@ -68,39 +66,16 @@ def threads() -> set[int]:
     return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
 
 
-@pytest.fixture
-def host() -> Iterator[None]:
-    """A host that has given BLAS two threads."""
-    with threadpool_limits(HOST_THREADS, user_api="blas"):
-        yield
-
-
-@pytest.mark.usefixtures("host")
-def test_blocks_within_each_other_end_with_the_outer_one() -> None:
-    with one_blas_thread():
-        with one_blas_thread():
-            assert threads() == {1}
-        assert threads() == {1}
-    assert threads() == {HOST_THREADS}
-
-
-@pytest.mark.usefixtures("host")
-def test_an_error_gives_the_threads_back() -> None:
-    with pytest.raises(ZeroDivisionError), one_blas_thread():
-        raise ZeroDivisionError
-    assert threads() == {HOST_THREADS}
-
-
-@pytest.mark.usefixtures("host")
 def test_training_and_answering_have_one_thread(make_bench, taught, monkeypatch) -> None:
     noting: Any = Scripted(SURE, look=threads)
     noting.fit = lambda _grasps: noting.seen.append(threads()) or noting
     monkeypatch.setattr("cell.learning.training.RECOGNIZERS", {"force_ramp": lambda **_: noting})
-    assert train([], "force_ramp").recognizer.labels == ("ball", "box")
     model = TaughtModel(taught.config, training_set=taught.grasps)
-    model.train()
     bench = make_bench(taught.config)
     bench.controller.start()
-    Tasks(bench.controller, ModelFile(model, None)).named(IdentifyGoal(present="ball"))
-    assert noting.seen == [{1}] * 3
-    assert threads() == {HOST_THREADS}
+    with threadpool_limits(HOST_THREADS, user_api="blas"):
+        assert train([], "force_ramp").recognizer.labels == ("ball", "box")
+        model.train()
+        Tasks(bench.controller, ModelFile(model, None)).named(IdentifyGoal(present="ball"))
+        assert noting.seen == [{1}] * 3
+        assert threads() == {HOST_THREADS}

@@ -531,7 +531,6 @@ def test_other_files_are_refused_before_a_message_is_read(
         (frame_json(extra="[-1]"), "extra.0 is -1: Input should be greater than or"),
         (frame_json(extra="[1]"), "it has 1 further samples of 1 taxels"),
         (frame_json(number="9223372036854775808"), "number is 9223372036854775808: Input should"),
-        (frame_json(t_s='"soon"'), "t_s is 'soon': Input should be a valid number"),
         (frame_json(t_s="NaN"), "t_s is nan: Input should be a finite number"),
         (frame_json(t_s="1e308"), "t_s is 1e+308: Input should be less than or equal to"),
     ],
