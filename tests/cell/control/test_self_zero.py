@@ -209,24 +209,6 @@ def test_what_is_out_of_bounds_is_named(make_bench, changes, says) -> None:
 
 
 @pytest.mark.usefixtures("made_up_zero")
-@pytest.mark.parametrize(("when", "times"), [("always", 2), ("daily", 2), ("on_demand", 0)])
-def test_it_is_measured_at_a_start_where_it_is_due(make_bench, tmp_path, when, times) -> None:
-    config = quick_config(self_zero=when)
-    file = zero_file(tmp_path, config.name)
-    seen: list[Any] = []
-    for job in ("first", "second"):
-        bench = make_bench(config, folder=tmp_path / job)
-        before = bench.controller.zeros.newest
-        bench.controller.start()
-        seen.append((before, bench.controller.zeros.newest))
-    measured = sum(after is not None and after is not before for before, after in seen)
-    assert measured == times
-    assert file.exists() == (times > 0)
-    if times:
-        assert seen[1][0] == seen[0][1]
-
-
-@pytest.mark.usefixtures("made_up_zero")
 def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path: Path) -> None:
     said = call("hand", "zero", "--out", tmp_path, "--json", tmp_path / "zero.json")
     assert said.startswith("pads meet at ")
@@ -351,7 +333,7 @@ def test_a_part_that_is_lost_while_the_fingers_close_was_between_them() -> None:
     assert "something is between them" in part_between(lost)
 
 
-def test_a_self_zero_counts_for_a_day(tmp_path: Path) -> None:
+def test_a_self_zero_counts_for_a_day_unless_each_start_measures_one(tmp_path: Path) -> None:
     path, now_s = tmp_path / "zero.json", [1.8e9]
     zeros = SelfZeros("daily", path=path, now_s=lambda: now_s[0])
     assert zeros.due
@@ -360,6 +342,7 @@ def test_a_self_zero_counts_for_a_day(tmp_path: Path) -> None:
     now_s[0] += 0.9 * DAY_S
     assert zeros.newest == ZERO
     assert zeros.due
+    assert [SelfZeros(when, path=path).due for when in ("always", "on_demand")] == [True, False]
     now_s[0] += 0.2 * DAY_S
     assert zeros.newest is None
     later = SelfZeros(path=path, now_s=lambda: now_s[0])
