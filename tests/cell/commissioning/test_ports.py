@@ -1,7 +1,5 @@
 """Ports of the servos: found by their plugs, named by their adapters, and their obstacles."""
 
-import subprocess
-import sys
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -11,7 +9,7 @@ from cell.commissioning import ports
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import carry_out
 from cell.commissioning.findings import Verdict
-from cell.commissioning.ports import PORTS, check_port, lasting_name, usb_identity, users_of
+from cell.commissioning.ports import PORTS, check_port, lasting_name, usb_identity
 from gripper.errors import PortLost
 from simulator.cell import SimulatedCell
 from tests.cell.commissioning.hands import Script, SimulatedLines
@@ -53,19 +51,6 @@ def test_a_port_that_is_taken_or_gone_is_named(tmp_path) -> None:
     notes = carry_out(PORTS, Bench(tmp_path, lines), Script())
     assert notes.status is Verdict.FAIL
     assert "used by another program" in notes.lines[-1]
-
-
-def test_programs_that_have_a_port_open_are_named(tmp_path) -> None:
-    device = tmp_path / "tty"
-    device.touch()
-    assert users_of(str(device)) == ()
-    waits = "import sys; file = open(sys.argv[1]); print(flush=True); sys.stdin.read()"
-    with subprocess.Popen(
-        [sys.executable, "-c", waits, str(device)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as other:
-        other.stdout.readline()
-        (user,) = users_of(str(device))
-        assert user.endswith(f"(process {other.pid})")
 
 
 @pytest.fixture
@@ -126,6 +111,7 @@ def test_an_adapter_is_named_by_its_own_serial_number_or_else_by_its_socket(
     [
         ("", "key", Verdict.PASS, ""),
         ("missing", "key", Verdict.FAIL, "cannot open serial port"),
+        ("another program", "key", Verdict.FAIL, "is in use by brltty (process 12)"),
         ("slow", "USB latency timer of key", Verdict.WARN, "waits up to 16 ms"),
         ("modems", "ModemManager at key", Verdict.WARN, "send commands"),
         ("modems in a container", "ModemManager at key", Verdict.WARN, "send commands"),
@@ -139,8 +125,12 @@ def test_each_obstacle_at_a_port_is_named(
     if obstacle != "missing":
         monkeypatch.setattr(ports, "SerialStream", Mock())
     monkeypatch.setattr(ports, "latency_timer_ms", lambda _port: 16 if obstacle == "slow" else 1)
+    process = machine / "proc/12"
+    (process / "fd").mkdir(parents=True)
+    (process / "comm").write_text("brltty\n")
+    if obstacle == "another program":
+        (process / "fd/3").symlink_to(port)
     if "modems" in obstacle:
-        (process := machine / "proc/12").mkdir(parents=True)
         (process / "comm").write_text("ModemManager\n")
         if "container" not in obstacle:
             (udev := machine / "run/udev/data").mkdir(parents=True)
