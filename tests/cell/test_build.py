@@ -52,10 +52,9 @@ def positioner(bench: Any) -> Any:
         # Friction of 11 N at each finger: no lower cap is sure to stop fingers that overcome it.
         SLOW_RACK | {"gripper__force_max_n": 25.0},
         {"gripper__servos": [{"id": 1, "direction": -1}, {"id": 2, "zero_pulse": 1800}]},
-        {"tactile__layout": "pinch"},
         {"tactile__node_id": 127, "tactile__serial_number": 4711},
     ],
-    ids=["one servo, rack", "two servos, rack", "mounts", "pinch", "node"],
+    ids=["one servo, rack", "two servos, rack", "mounts", "node"],
 )
 def test_cells_of_other_make_grasp_too(make_bench, change) -> None:
     bench = make_bench(quick_config(**change)).ready("box")

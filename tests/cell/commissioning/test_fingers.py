@@ -53,22 +53,16 @@ def test_each_kind_of_linkage_is_found_where_the_measurements_tell_them_apart(
     assert fit.linkage.aperture_m([on_block_rad] * 2) == pytest.approx(sizes_m[0], abs=1e-6)
 
 
-@pytest.fixture
-def limp(make_stand: MakeStand) -> MakeStand:
-    """Return what makes a cell whose servos are set up."""
-
-    def make(*faults: str) -> Stand:
-        stand = make_stand(*faults, aperture_m=0.03)
-        for servo in stand.cell.devices.servo_bus.servos:
-            servo.registers.put("operating_mode", 5)
-        return stand
-
-    return make
+def with_servos_set_up(make_stand: MakeStand, *faults: str) -> Stand:
+    stand = make_stand(*faults, aperture_m=0.03)
+    for servo in stand.cell.devices.servo_bus.servos:
+        servo.registers.put("operating_mode", 5)
+    return stand
 
 
 @pytest.fixture
-def stand(limp: MakeStand) -> Stand:
-    return limp()
+def stand(make_stand: MakeStand) -> Stand:
+    return with_servos_set_up(make_stand)
 
 
 def test_one_servo_with_a_pinion(make_stand) -> None:
@@ -86,8 +80,8 @@ def test_one_servo_with_a_pinion(make_stand) -> None:
     assert linkage["pinion_radius_mm"] == pytest.approx(20.0, rel=0.02)
 
 
-def test_directions_zero_and_linkage_of_badly_mounted_servos(limp) -> None:
-    stand = limp("servo2.turned", "servo1.horn=164")
+def test_directions_zero_and_linkage_of_badly_mounted_servos(make_stand) -> None:
+    stand = with_servos_set_up(make_stand, "servo2.turned", "servo1.horn=164")
     second_first = {"Open one finger": ("open 1", ""), "open the other": ("open 0", "")}
     notes = stand.passes(STEP, practice=second_first)
     first, second = notes.settings["gripper.servos"]

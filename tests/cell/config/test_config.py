@@ -416,8 +416,8 @@ def test_all_ends_are_accepted_but_those_that_others_forbid() -> None:
     assert complaints == {}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("end", [GRASPED[0], *map(LONG, GRASPED[1:])])
+@pytest.mark.long
+@pytest.mark.parametrize("end", GRASPED)
 def test_a_grasp_is_done_at_the_end(end) -> None:
     with campaign_cell(changes_at(end)) as cell, cell.monitor.bounded(_BOUND_S):
         cell.start()
