@@ -56,10 +56,6 @@ class Stand:
         self.person.script.moment = moment or self.person.script.moment
         return carry_out(step, self.bench, self.person.script)
 
-    def does(self, *words: str) -> Callable[[], None]:
-        """Return hands that do something, as a reply."""
-        return self.person.does(*words)
-
     def passes(self, step: Step, **options: Any) -> Notes:
         """Carry a step out as `run`; fail where it does not pass."""
         finding = self.run(step, **options)

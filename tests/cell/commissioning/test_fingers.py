@@ -117,7 +117,7 @@ def test_a_wrong_linkage_and_opening_of_the_config_are_named(stand) -> None:
 
 @pytest.mark.parametrize("tight", ["close", LONG("open")])
 def test_a_first_motion_begins_with_room_on_both_sides(stand, tight) -> None:
-    stand.passes(STEP, fingers__free=[stand.does("empty", tight), stand.does("half")])
+    stand.passes(STEP, fingers__free=[stand.person.does("empty", tight), stand.person.does("half")])
     assert stand.person.script.asked.count("fingers.free") == 2
 
 
@@ -152,11 +152,11 @@ def drifting(stand: Stand) -> None:
 def test_fingers_that_do_not_move_as_asked_fail_the_step_and_are_limp(
     stand, key, reply, named
 ) -> None:
-    answers = {f"fingers.{key}": stand.does(reply) if reply else lambda: None}
+    answers = {f"fingers.{key}": stand.person.does(reply) if reply else lambda: None}
     if reply == "half":
-        answers["fingers.open_first"] = stand.does("close", "open 0")
+        answers["fingers.open_first"] = stand.person.does("close", "open 0")
     if key == "free":
-        answers["fingers.free"] = lambda: (stand.does("empty", "half")(), reply(stand))
+        answers["fingers.free"] = lambda: (stand.person.does("empty", "half")(), reply(stand))
     notes = stand.run(STEP, **(answers if key != "opened" else {"fingers.opened": reply}))
     assert notes.status is Verdict.FAIL
     assert re.search(named, notes.lines[-1])
@@ -182,7 +182,7 @@ def test_no_linkage_is_proposed_where_the_measurements_do_not_tell(stand) -> Non
 
 def test_a_thickness_that_was_typed_wrong_is_found(stand) -> None:
     replies: dict[str, Any] = {
-        "fingers.on_block2": stand.does("block 30"),
+        "fingers.on_block2": stand.person.does("block 30"),
         "fingers.kind": "parallel",
     }
     notes = stand.run(STEP, fingers__block2=50.0, **replies)

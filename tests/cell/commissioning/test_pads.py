@@ -73,7 +73,7 @@ def test_pads_that_sit_otherwise_are_found_named_and_set(make_stand, mounts, nam
 
 
 def test_a_dead_pad_is_named_and_fails_the_step(stand) -> None:
-    finding = stand.run(PRESSED, pads_pressed__press=[stand.does("lift"), "skip", None])
+    finding = stand.run(PRESSED, pads_pressed__press=[stand.person.does("lift"), "skip", None])
     assert finding.status is Verdict.FAIL
     assert "finger0.inner was not found" in finding.lines[-1]
     assert "No pad shows a fingertip" in stand.person.script.text
@@ -81,7 +81,7 @@ def test_a_dead_pad_is_named_and_fails_the_step(stand) -> None:
 
 
 def test_the_wrong_pad_or_its_middle_is_asked_for_again(stand) -> None:
-    wrong = [stand.does(f"press finger{number}.inner") for number in (0, 1)]
+    wrong = [stand.person.does(f"press finger{number}.inner") for number in (0, 1)]
     stand.passes(PRESSED, pads_pressed__press=[None, *wrong, None])
     assert stand.person.script.asked == ["pads_pressed.press"] * 4
     assert "The patch is where finger0.inner was found" in stand.person.script.text

@@ -68,7 +68,6 @@ def test_loaded_model_answers_like_the_taught_one(learnt, good, tmp_path) -> Non
         ({"adc_max": 4095}, "a full scale of 4095 instead of 255"),
         ({"taxel_xy_m": PADS.taxel_xy_m * 1.1}, "at other places"),
         ({"pad_shape": PADS.pad_shape[:, ::-1]}, ""),
-        ({"taxel_pad": PADS.taxel_pad[::-1]}, ""),
     ],
 )
 def test_model_of_other_pads_is_refused(change, says, good) -> None:
