@@ -4,7 +4,6 @@ from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -207,7 +206,6 @@ class Taught:
     """A small run of the main job, with its files."""
 
     config: CellConfig
-    folder: Path
     result: MainResult
     grasps: tuple[Grasp, ...]
     progress: tuple[tuple[str, int, int], ...]
@@ -232,7 +230,7 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Taught:
             folder=folder,
             progress=lambda *step: progress.append(step),
         )
-    return Taught(config, folder, result, read_dataset(result.dataset), tuple(progress))
+    return Taught(config, result, read_dataset(result.dataset), tuple(progress))
 
 
 def plain_grasp(label: str, **changes: Any) -> Grasp:

@@ -405,7 +405,6 @@ def test_a_recording_that_was_cut_says_so_and_an_empty_one_is_refused(recording,
         {"poses": ({"t_s": 1.0, "x_m": "far"},)},
         {"events": ({"t_s": "soon", "kind": "place", "text": "a at b"},)},
         {"results": ({"t_s": 1.0, "label": "ball", "labels": ["ball"], "n_grasps": 1},)},
-        {"statistics": ({"t_s": 1.0, "cycles": None},)},
     ],
 )
 def test_values_that_no_cell_has_are_refused(recording, spoil) -> None:
