@@ -83,15 +83,6 @@ def test_what_is_not_measured_is_not_shown_and_its_age_grows(bench: Any) -> None
     assert bench.controller.live == LiveValues()
 
 
-@pytest.mark.parametrize(("keep", "held"), [(Keep.WHEN_NAMED, False), (Keep.ALWAYS, True)])
-def test_an_unknown_part_is_let_go_unless_all_are_kept(bench: Any, keep: Keep, held: bool) -> None:
-    answer = identify(bench, Scripted(STRANGE), keep)
-    assert answer.label == UNKNOWN
-    assert answer.in_grip is held
-    assert (bench.grip_n > 0.0) is held
-    assert bench.life.state is (CellState.COMPLETE if held else CellState.IDLE)
-
-
 def test_a_lost_recording_that_is_a_fault_of_grasps_does_not_keep_a_part(
     make_bench: MakeBench, tmp_path: Path
 ) -> None:
@@ -104,14 +95,24 @@ def test_a_lost_recording_that_is_a_fault_of_grasps_does_not_keep_a_part(
     assert (bench.life.state, bench.grip_n) == (CellState.IDLE, 0.0)
 
 
-@pytest.mark.parametrize("keep", Keep)
-def test_the_part_is_held_while_it_is_named_where_it_may_be_kept(bench: Any, keep: Keep) -> None:
-    recognizer = Scripted(UNSURE, SURE, look=lambda: bench.grip_n)
-    answer = identify(bench, recognizer, keep, STEPS)
-    assert len(answer.records) == 2
-    assert [record.reached.x_m for record in answer.records] == pytest.approx([0.0, 1e-3])
+@pytest.mark.parametrize(
+    ("answers", "keep", "kept"),
+    [
+        ((UNSURE, SURE), Keep.NEVER, False),
+        ((UNSURE, SURE), Keep.WHEN_NAMED, True),
+        ((STRANGE,), Keep.WHEN_NAMED, False),
+        ((STRANGE,), Keep.ALWAYS, True),
+    ],
+)
+def test_a_part_is_held_while_it_is_named_and_kept_by_its_name(bench, answers, keep, kept) -> None:
+    recognizer, n = Scripted(*answers, look=lambda: bench.grip_n), len(answers)
+    answer = identify(bench, recognizer, keep, STEPS[:n])
+    assert [one.reached.x_m for one in answer.records] == pytest.approx([0.0, 1e-3][:n])
     wanted_n = 0.0 if keep is Keep.NEVER else CARRY_N
-    assert recognizer.seen == pytest.approx([wanted_n, wanted_n], abs=TOLERANCE_N)
+    assert recognizer.seen == pytest.approx([wanted_n] * n, abs=TOLERANCE_N)
+    assert answer.label == (UNKNOWN if STRANGE in answers else "ball")
+    assert (answer.in_grip, bench.grip_n > 0.0) == (kept, kept)
+    assert bench.life.state is (CellState.COMPLETE if kept else CellState.IDLE)
 
 
 @pytest.mark.parametrize(

@@ -702,7 +702,6 @@ def test_a_file_of_which_nothing_can_be_read_is_not_recovered(spoil, says, three
     path.write_bytes(spoil(path.read_bytes()))
     with pytest.raises(RecordingError, match=rf"nothing of .* can be recovered: .*{says}"):
         recover_recording(path, tmp_path / "new.mcap")
-    assert CliRunner().invoke(app, ["recording", "recover", str(path)]).exit_code != 0
     assert list(tmp_path.iterdir()) == [path]
 
 
