@@ -8,7 +8,10 @@ import numpy as np
 
 from cell.control.controller import CellController
 from cell.control.identification import Identification
+from cell.hand.interface import HandStatistics
+from gripper.dynamixel.bus import BusStatistics
 from gripper.dynamixel.drive import DriveCharacteristic
+from gripper.force.timing import Distribution, LoopStatistics
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.state import Cycle, GripperPhase, ServoFeedback, ServoState
@@ -76,6 +79,13 @@ def make_source_statistics(**changes: Any) -> SourceStatistics:
     counts = dict.fromkeys(("requests", "late_requests", "foreign", "malformed", "error_frames"), 0)
     values: dict[str, Any] = {"frames": FrameStatistics(), "recent_loss_rate": 0.0, **counts}
     return SourceStatistics(**(values | changes))
+
+
+HAND_STATISTICS = HandStatistics(
+    loop=LoopStatistics(cycles=5, worst_lateness_s=0.1, lateness=Distribution(n=5, max_s=0.1)),
+    servo_bus=BusStatistics(transactions=3),
+    source=make_source_statistics(frames=FrameStatistics(complete=4)),
+)
 
 
 def make_identification(*posteriors: Posterior, **changes: Any) -> Identification:

@@ -25,12 +25,9 @@ from cell.control.plan import GraspStep, Pose, plan
 from cell.control.records import GraspRecord, pad_array, spliced
 from cell.control.states import CellState, GraspState
 from cell.errors import CellError, CellStateError, CellStopped, NoPartFound, PlanRefused
-from cell.hand.interface import HandStatistics
 from cell.learning.shape_reading import shape_reader
 from cell.recording.reader import read_recording
-from gripper.dynamixel.bus import BusStatistics
 from gripper.errors import GripperError, LimitExceeded
-from gripper.force.timing import LoopStatistics
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
@@ -47,7 +44,7 @@ from tests.cell.conftest import (
 )
 from tests.fuzz.harness import Clock
 from tests.marks import LONG
-from tests.values import make_source_statistics, raising
+from tests.values import HAND_STATISTICS, raising
 
 RAMPING, OPENING = GripperPhase.RAMPING, GripperPhase.OPENING
 APPROACHING, RELEASING = GripperPhase.APPROACHING, GripperPhase.RELEASING
@@ -367,9 +364,7 @@ def controller() -> CellController:
         phase=GripperPhase.IDLE,
         largest_ramp_n=12.0,
         grasp=Mock(return_value=SimpleNamespace(result=GraspResult.NO_CONTACT)),
-        statistics=HandStatistics(
-            loop=LoopStatistics(), servo_bus=BusStatistics(), source=make_source_statistics()
-        ),
+        statistics=HAND_STATISTICS,
     )
     positioner: Any = SimpleNamespace(blocks=False, move_to=lambda pose, *_: pose)
     made = CellController(small_config(), hand, positioner, clock=Clock())

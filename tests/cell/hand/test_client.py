@@ -26,7 +26,7 @@ from cell.control.journal import loop_line, loop_values
 from cell.errors import CellStopped, HandLost, HostSilent
 from cell.hand import client, real_time, server
 from cell.hand.client import HandProcess, LoopProcess
-from cell.hand.interface import HandStatistics, LatestValues
+from cell.hand.interface import LatestValues
 from cell.hand.messages import (
     EndRamp,
     HandFault,
@@ -38,7 +38,6 @@ from cell.hand.messages import (
     packed,
 )
 from cell.hand.server import HandServer, Outbox
-from gripper.dynamixel.bus import BusStatistics
 from gripper.errors import (
     BusTimeout,
     GraspStopped,
@@ -55,17 +54,10 @@ from gripper.values.force_sensor import ForceSample
 from gripper.values.servo_checks import VerificationReport, VerificationRow
 from gripper.values.state import GripperPhase
 from tactile.errors import HeartbeatLost, LinkFault
-from tactile.source import FrameStatistics, TactileFrame
-from tests.values import make_cycle, make_source_statistics, raising
+from tactile.source import TactileFrame
+from tests.values import HAND_STATISTICS, make_cycle, raising
 
 RAMP = ForceRamp.linear(3.0, 5.0)
-STATISTICS = HandStatistics(
-    loop=LoopStatistics(cycles=5, lateness=Distribution(n=5, max_s=0.1)),
-    servo_bus=BusStatistics(transactions=3),
-    source=make_source_statistics(frames=FrameStatistics(complete=4)),
-)
-
-
 SILENT = HandFault(error=HeartbeatLost("silent"), phase=GripperPhase.IDLE)
 
 
@@ -81,7 +73,7 @@ class FakeHand:
 
     period_s = 0.001
     phase = GripperPhase.HOLDING
-    statistics = STATISTICS
+    statistics = HAND_STATISTICS
     measured = LatestValues()
 
     def __init__(self) -> None:
@@ -189,7 +181,7 @@ class Loop(LoopProcess):
 
     def __init__(self, _config: CellConfig, *, partial: bool = False) -> None:
         del partial
-        self.ready = Ready(notes=("a note",), statistics=STATISTICS)
+        self.ready = Ready(notes=("a note",), statistics=HAND_STATISTICS)
         self.lost: HandLost | None = None
         self._watchdog_ms, self._stopping, self._stop_fd = 100.0, threading.RLock(), -1
         self._process: Any = Mock(pid=4711, returncode=-9)

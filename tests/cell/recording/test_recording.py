@@ -25,7 +25,6 @@ from cell.control.plan import Pose
 from cell.control.states import CellState, GraspState
 from cell.errors import RecordingError
 from cell.formats import RECORDING
-from cell.hand.interface import HandStatistics
 from cell.interfaces.cli.app import app
 from cell.recording import (
     reader as recording_reader,
@@ -44,8 +43,6 @@ from cell.recording.recorder import ROOM_BYTES, Recorder
 from cell.recording.retention import LEAST_FREE_BYTES, Retention, mark, unmark
 from cell.recording.schema import RECOVERED
 from cell.recording.sink import LEFT_BYTES, RecordingSink
-from gripper.dynamixel.bus import BusStatistics
-from gripper.force.timing import LoopStatistics
 from gripper.values.force_sensor import ForceSample
 from recognition.grasp import Grasp, GraspCommand, SelfZero
 from recognition.recognizer import Posterior
@@ -53,12 +50,12 @@ from tactile.source import TactileFrame
 from tests.cell.served import until
 from tests.fuzz.harness import Clock, same_grasps
 from tests.values import (
+    HAND_STATISTICS,
     make_cycle,
     make_identification,
     make_pads,
     make_servo,
     make_shape,
-    make_source_statistics,
     make_state,
     raising,
 )
@@ -120,13 +117,7 @@ def record(path: Path, n_grasps: int = 3) -> list[Grasp]:
     ) as recorder:
         journal = Journal(recorder)
         journal.states(CellState.HELD, GraspState.NO_PART_FOUND)
-        journal.loop(
-            HandStatistics(
-                loop=LoopStatistics(cycles=7, worst_lateness_s=0.5),
-                servo_bus=BusStatistics(),
-                source=make_source_statistics(),
-            )
-        )
+        journal.loop(HAND_STATISTICS)
         grasps = [record_grasp(recorder, clock, f"object {i}") for i in range(n_grasps)]
         likely = Posterior(
             labels=("object 0", "object 1"), probability=np.array([0.003, 0.997]), unknown=0.01
