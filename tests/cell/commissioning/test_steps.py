@@ -228,29 +228,34 @@ def test_a_person_who_leaves_with_the_part_held_finds_it_held_and_lets_go_next_t
 
 
 @pytest.mark.parametrize("error", [WizardAborted("left at the page"), KeyboardInterrupt()])
-@pytest.mark.parametrize("moment", ["while they open", "while they grasp"])
-def test_a_person_stops_a_motion_while_it_runs(quiet, moment, error) -> None:
+@pytest.mark.parametrize(
+    ("asked", "look", "kept"),
+    [
+        ("first_force.empty", 1, False),
+        ("first_force.empty", 3, True),
+        ("first_force.part", 3, True),
+    ],
+    ids=["while they open", "in the self-test of the watchdog", "while they grasp"],
+)
+def test_a_person_stops_a_motion_while_it_runs(quiet, asked, look, kept, error) -> None:
     looks = 0
 
     def stop() -> None:
         nonlocal looks
-        grasping = "first_force.part" in quiet.person.script.asked
-        looks += grasping or moment == "while they open"
-        if looks == 3:
+        looks += quiet.person.script.asked[-1] == asked
+        if looks == look:
             raise error
 
-    grasps = "grasp" in moment
-    says = rf"^{str(error) or 'left'}. The fingers keep their grip" if grasps else str(error)
-    with pytest.raises(WizardAborted if grasps else type(error), match=says or None):
+    says = rf"^{str(error) or 'left'}. The fingers keep their grip" if kept else str(error)
+    with pytest.raises(WizardAborted if kept else type(error), match=says or None):
         quiet.run(FIRST_FORCE, moment=stop)
     stood_m = quiet.cell.devices.mechanics.aperture_m
     quiet.cell.clock.sleep(1.0)
     # Without torque fingers of little friction run on by a millimetre.
     assert quiet.cell.devices.mechanics.aperture_m == pytest.approx(stood_m, abs=1.5e-3)
-    asked = quiet.person.script.asked[-1]
-    assert asked == ("first_force.part" if grasps else "first_force.empty")
-    # Closing fingers may touch a part: they stand where they are until a person lets it go.
-    assert quiet.torques == ([1, 1] if grasps else [0, 0])
+    assert quiet.person.script.asked[-1] == asked
+    # Fingers that close may touch a part: they stand where they are until a person lets it go.
+    assert quiet.torques == [kept, kept]
 
 
 def test_fingers_that_find_no_part_fail_the_step(quiet) -> None:
