@@ -1,7 +1,6 @@
 """Rows of the fault campaign: the simulated cell that they run on, and what was observed."""
 
 import contextlib
-import math
 import os
 import signal
 import subprocess
@@ -269,10 +268,17 @@ def _reaction(cell: CampaignCell) -> str:
 
 
 def later(cell: CampaignCell, seen: Observed) -> Observed:
-    """Let a second pass without a host and add what is left of the grip."""
+    """Let a second pass without a host and add what is left of the grip.
+
+    A device that is back again changes nothing: the cell goes on by a person alone.
+    """
     if seen.reaction in {"NOTE", "NOTHING", "REJECT"}:
         return seen
+    state = cell.controller.life.state
     cell.simulated.clock.sleep(LATER_S)
+    cell.controller.life.tick()
+    if cell.controller.life.state is not state:
+        return replace(seen, reaction=f"went from {state} to {cell.controller.life.state}")
     return replace(seen, outcome=f"{seen.outcome}; {LATER_S:g} s later {cell.grip_n:.1f} N")
 
 
@@ -372,53 +378,6 @@ def axis_fails(row: FaultRow) -> Observed:
         cell.simulated.injector.clear_all()
         seen = replace(observed, detected_after_s=known_s[0] - began_s[0])
         return recovered(cell, row, seen, partial(cell.controller.grasp, STEP))
-
-
-# -- The CAN link and the control unit -------------------------------------------------------------
-
-
-_SYNC_ID = 0x80
-"""COB-ID of SYNC, CiA 301."""
-_TOUCH_N = 0.02
-"""Force in N on both pads that is a contact, as in the simulator."""
-
-
-def sets_lost(row: FaultRow, *, every: float = math.inf, crossing: int = 1) -> Observed:
-    """Lose one message of each so-many-th set, just before its SYNC, once both pads touch.
-
-    The first five sets are left out, so that the contact itself is over. Time counts from the loss
-    ``crossing``, from 1: the one too many.
-    """
-    lost_s: list[float] = []
-    number = -5
-
-    def look(_t_s: float, can_id: int, _data: bytes) -> None:
-        nonlocal number
-        if can_id == _SYNC_ID and (number > -5 or cell.grip_n > _TOUCH_N):
-            if number >= 0 and number % every == 0:
-                cell.simulated.inject("can.lose_next=1")
-                lost_s.append(cell.now_s)
-            number += 1
-
-    with campaign_cell(row.changes) as cell:
-        observed = observe(cell, lambda: cell.simulated.can_bus.capture.append(look))
-        monitor = cell.monitor
-        known_s = monitor.latched_s if monitor.latched_s is not None else monitor.noted_s
-        if known_s is None:
-            return observed
-        return replace(observed, detected_after_s=max(0.0, known_s - lost_s[crossing - 1]))
-
-
-def adapter_comes_back(row: FaultRow) -> Observed:
-    """Pull the adapter out for a moment; back again, the cell must not go on but by a person."""
-    with campaign_cell(row.changes) as cell:
-        observed = observe(cell, row.injected)
-        state = cell.controller.life.state
-        cell.simulated.clock.sleep(1.0)
-        cell.controller.life.tick()
-        if cell.controller.life.state is not state:
-            return replace(observed, reaction=f"went from {state} to {cell.controller.life.state}")
-        return recovered(cell, row, observed, cell.grasp)
 
 
 def drifts_between_grasps(row: FaultRow) -> Observed:

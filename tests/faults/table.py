@@ -121,15 +121,9 @@ def _with(changes: Mapping[str, Any], rows: Iterable[FaultRow]) -> tuple[FaultRo
 # fmt: off
 CAN_BUS = (
     # One tactile frame lost (one message of it).
-    FaultRow(1, "", "can.lose_next=1, with a SYNC", "NOTE", BURST_S + SYNC_S + LOOP_S,
-             campaign.sets_lost),
+    FaultRow(1, "", "can.lose_next=1@contact+0.1s", "NOTE", 2 * SYNC_S + BURST_S + LOOP_S,
+             changes={"tactile.force_period_ms": 0}),
     FaultRow(2, "silence", "can.loss=1@contact+0.1s", "HOLD", SETS_S + SYNC_S, number=401),
-    # 20 % of the sets lost, evenly; the limit counts from the set that is one too many.
-    FaultRow(2, "one set in five", "can.lose_next=1, with each fifth SYNC", "HOLD", 0.06,
-             partial(campaign.sets_lost, every=5, crossing=3)),
-    # 5 % of the sets lost, evenly; the limit counts from the set that is one too many.
-    FaultRow(2, "one set in twenty", "can.lose_next=1, with each 20th SYNC", "HOLD", 0.06,
-             partial(campaign.sets_lost, every=20, crossing=3), {"sequence.ramp.hold_s": 1.5}),
     # Every fifth message comes twice.
     FaultRow(3, "", "can.duplicate=0.2@contact", "NOTE", None),
     FaultRow(4, "reordered", "can.swapped=0.2@contact", "NOTE", None),
@@ -154,8 +148,7 @@ CAN_BUS = (
     FaultRow(8, "bus-off", "can.off@contact+0.2s", "HOLD", 0.1, number=311),
     FaultRow(8, "unplugged", "can.unplugged@contact+0.2s", "HOLD", 0.1, number=311),
     # The CAN adapter is out for 50 ms; no silent reconnect, but by clear and reset.
-    FaultRow(8, "back again", "can.unplugged@contact+0.1s..contact+0.15s", "HOLD", 0.1,
-             campaign.adapter_comes_back, number=311),
+    FaultRow(8, "back again", "can.unplugged@contact+0.1s..contact+0.15s", "HOLD", 0.1, number=311),
 )
 
 CONTROL_UNIT = (
@@ -338,7 +331,7 @@ SERVO_BUS = (
     FaultRow(19, "cable out", "servos.unplugged@contact+0.2s", "HOLD", BUS_LOST_S, number=101),
     # The cable is out for 0.2 s; no silent reconnect, but by clear and reset.
     FaultRow(19, "cable back", "servos.unplugged@contact+0.2s..contact+0.4s", "HOLD", BUS_LOST_S,
-             campaign.adapter_comes_back, number=101),
+             number=101),
     FaultRow(19, "dead bus", "servos.off@contact+0.2s", "HOLD", BUS_LOST_S, number=102),
     FaultRow(19, "all answers late", "servos.delayed=0.03@contact+0.2s", "HOLD", BUS_LOST_S,
              number=102),

@@ -35,18 +35,14 @@ def test_an_error_in_the_block_closes_the_port_and_keeps_the_part() -> None:
         assert not any(servo.torque_on for servo in sim.devices.servo_bus.servos)
 
 
-def test_a_block_begins_with_servos_that_match_or_not_at_all() -> None:
+def test_a_gripper_that_cannot_be_or_does_not_match_leaves_no_port_open() -> None:
     with simulated_cell() as sim:
         line = sim.servo_port
         sim.inject("servos.off")
         with pytest.raises(VerificationFailed), open_gripper(line):
             pass
         assert line.closed
-
-
-def test_a_gripper_that_cannot_be_leaves_no_port_open() -> None:
-    with simulated_cell() as sim:
-        line = sim.servo_port
+        line = sim.open_servo_port()
         with pytest.raises(LimitExceeded, match="driven by 1 servos, the settings name 2"):
             open_gripper(line, GripperSettings(), RackPinion(pinion_radius_m=0.012))
         assert line.closed

@@ -170,7 +170,6 @@ QUICK = {
     "tactile.layout": COARSE_PADS,
     "gripper.approach_speed_mm_s": 20.0,
 }
-SHORT = QUICK | {"sequence.force_n": [2.0, 3.0], "sequence.max_grasps": 2}
 REAL = """
 gripper: {port: /dev/ttyUSB7, servos: [{id: 11}, {id: 12}], force_max_n: 9.0}
 tactile: {interface: socketcan, channel: can7, node_id: 9}
@@ -214,14 +213,6 @@ def test_a_config_of_a_real_cell_is_simulated_with_its_own_ids_and_limits(
     assert (cell.config.gripper.force_max_n, cell.config.positioner.kind) == (9.0, "simulated")
     assert [servo.servo_id for servo in cell.simulated.settings.servos] == [11, 12]
     assert cell.start().cell.controller.hand.statistics.source.frames.complete > 0
-
-
-@pytest.mark.long
-def test_objects_are_taught_and_told_apart(simulated_cell) -> None:
-    cell = simulated_cell(objects=PIN | {"ball": "sphere:diameter=9.5mm"}, changes=SHORT).start()
-    recognizer = cell.teach(["pin", "ball"], grasps=5)
-    assert cell.identify(recognizer, "pin").label == "pin"
-    assert cell.identify(recognizer, "ball").label == "ball"
 
 
 @pytest.mark.parametrize(

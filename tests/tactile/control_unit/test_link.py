@@ -4,6 +4,7 @@ import itertools
 import struct
 import subprocess
 import sys
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
@@ -353,6 +354,24 @@ def test_bursts_that_pile_up_behind_a_stall_are_no_second_unit() -> None:
             for _ in range(waiting):
                 flow.on_frame(0)
             waiting = 0
+
+
+@pytest.mark.parametrize("every", [5, 20, 26])
+def test_lost_frames_are_a_fault_with_the_one_that_is_too_many(every: int) -> None:
+    flow, lost = FrameFlow("the unit", LinkSettings(), 59), 0
+
+    def lose() -> None:
+        nonlocal lost
+        for number in range(1, 1000):
+            if number % every == 0:
+                lost += 1
+            else:
+                flow.on_frame(lost)
+
+    too_many = pytest.raises(FrameTimeout, match=r"3 of the last 50 frames .* allowed are 5%")
+    with too_many if every < 25 else nullcontext():
+        lose()
+    assert every > 25 or lost == 3
 
 
 # --- latching and life cycle ---------------------------------------------------------------------

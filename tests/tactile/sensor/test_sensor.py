@@ -390,28 +390,25 @@ def test_tare_finds_the_mean_of_the_noise() -> None:
     assert result.health.noisy
 
 
+INNER = {"press": (0.0,), "counts": 0.0, "dead": 0}
+"""What is wrong with the inner pad of finger 0: a press, counts more, dead taxels."""
+
+
 @pytest.mark.parametrize(
-    ("prepare", "says"),
+    ("wrong", "says"),
     [
-        (
-            lambda frames: frames.press(0.4),
-            r"reads .* more than the rest of its pad.*something touches",
-        ),
-        (lambda frames: frames.press(4.0, "flat"), r"reads .* counts, allowed are 30\.6"),
-        (lambda frames: frames.base.__setitem__(slice(0, 64), 60.0), "finger0.inner, row"),
-        (
-            lambda frames: frames.base.__setitem__(slice(0, 64), 6.0),
-            r"finger0\.inner reads .* more than the pads that nothing grips, allowed are 4\.1",
-        ),
-        (
-            lambda frames: frames.stuck.update(dict.fromkeys(range(10), 0)),
-            r"16% of the taxels of pad finger0\.inner are bad \(10 dead, 0 stuck",
-        ),
+        ({"press": (0.4,)}, r"reads .* more than the rest of its pad.*something touches"),
+        ({"press": (4.0, "flat")}, r"reads .* counts, allowed are 30\.6"),
+        ({"counts": 60.0}, "finger0.inner, row"),
+        ({"counts": 6.0}, r"finger0\.inner reads .* that nothing grips, allowed are 4\.1"),
+        ({"dead": 10}, r"16% of the taxels of pad finger0\.inner are bad \(10 dead, 0 stuck"),
     ],
 )
-def test_a_tare_under_load_or_on_broken_taxels_is_refused(sensor, frames, prepare, says) -> None:
-    before = sensor.tare_result
-    prepare(frames)
+def test_a_tare_under_load_or_on_broken_taxels_is_refused(sensor, frames, wrong, says) -> None:
+    before, wrong = sensor.tare_result, INNER | wrong
+    frames.press(*wrong["press"])
+    frames.base[:64] += wrong["counts"]
+    frames.stuck = dict.fromkeys(range(wrong["dead"]), 0)
     with pytest.raises(TareRefused, match=says):
         sensor.tare(30)
     assert sensor.tare_result is before

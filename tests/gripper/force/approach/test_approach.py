@@ -82,18 +82,11 @@ def test_a_finger_that_touches_waits_while_the_other_closes_on(approach) -> None
     assert angles[0] == angles[1]
 
 
-def test_the_goal_runs_ahead_by_a_little_only(approach) -> None:
-    for i in range(200):
-        _, angles = step(approach, 0.005 * i, DT_S, state(0.005 * i, 0.02, 0.0), None)
-    assert LINKAGE.aperture_m(angles) >= 0.02 - 0.0061
-
-
-def test_fingers_that_break_loose_get_a_goal_no_farther_ahead_than_their_speed_needs() -> None:
-    approach = new_approach()
+def test_the_goal_runs_ahead_by_a_little_and_of_fingers_that_break_loose_by_less(approach) -> None:
     for i in range(200):
         _, stuck = step(approach, 0.005 * i, DT_S, state(0.005 * i, 0.02, 0.0), None)
     _, loose = step(approach, 1.0, DT_S, state(1.0, 0.0199, -0.06), None)
-    assert LINKAGE.aperture_m(stuck) < 0.02 - 0.005
+    assert 0.02 - 0.0061 <= LINKAGE.aperture_m(stuck) < 0.02 - 0.005
     assert LINKAGE.aperture_m(loose) > 0.0199 - 0.0025
 
 
