@@ -121,7 +121,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "The servos' bus watchdog triggers; a part may be held.", MEND),
     gripper.FingerBlocked: Fault(116, "A finger is blocked",
         "A part or a cable between the fingers, high friction, or a wrong `gripper.linkage`.",
-        "Take out what lies between the fingers; move them by hand.", HELD, LET_GO_FIRST),
+        "Take out what lies between the fingers; move them by hand.", HELD, REBOOT),
     # -- 2xx: grip and force -------------------------------------------------------------------
     gripper.LimitExceeded: Fault(200, "Command or measured value outside a limit",
         "A request beyond the config, or heat.", "Request less, or let the hot part cool down.",
