@@ -139,8 +139,10 @@ def load_mesh(path: Path) -> MeshShape:
             mesh.merge_vertices()
             mesh.update_faces(mesh.nondegenerate_faces())
     except Exception as error:  # whatever its parser raises for damaged data
+        # The parser guesses the encoding of a text that is no UTF-8 with a package of its own.
+        why = "it is damaged" if isinstance(error, ImportError) else error
         raise SimulatorSettingsError(
-            f"{path} cannot be read as STL: {error}; export it again, as binary STL"
+            f"{path} cannot be read as STL: {why}; export it again, as binary STL"
         ) from error
     if len(mesh.faces) > MAX_FACES:
         raise SimulatorSettingsError(

@@ -208,6 +208,13 @@ def test_a_file_that_is_cut_off_or_has_a_wrong_count_or_no_number_is_refused(
         load_mesh(path)
 
 
+def test_a_text_in_another_encoding_is_damaged_and_asks_for_no_package(stl) -> None:
+    path = stl(BOX)
+    path.write_bytes(b"solid caf\xe9\nfacet \xff\xfe")
+    with pytest.raises(SimulatorSettingsError, match="as STL: it is damaged; export it again"):
+        load_mesh(path)
+
+
 @pytest.mark.parametrize(
     ("text", "sizes_mm"),
     [
