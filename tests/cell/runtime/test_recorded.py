@@ -44,22 +44,16 @@ def evaluated(grasps: Any, **changes: Any) -> Any:
     return evaluate_recognizers(grasps, **options | changes)
 
 
-def test_a_file_to_train_on_replaces_the_split(taught: Any) -> None:
+def test_a_file_to_train_on_replaces_the_split_and_grasps_of_a_drawing_test_nothing(taught) -> None:
     told: list[tuple[str, int, int]] = []
     options = {"names": ["level_check"], "progress": lambda *step: told.append(step)}
-    result = evaluated(taught.grasps[1:9], train=taught.grasps, **options)
+    drawn = replace(taught.grasps[0], source=DRAWING_SOURCE)
+    result = evaluated([drawn, *taught.grasps[1:9]], train=taught.grasps, **options)
     assert (result.split, result.n_train, result.n_test) == ("separate files", 10, 8)
     (level_check,) = result.recognizers.values()
     assert level_check.full.n == 8
     assert level_check.without_aperture is level_check.full  # it has no opening to leave out
     assert told[-1] == ("evaluate", 2, 2)
-
-
-def test_virtual_grasps_of_a_drawing_test_nothing(taught: Any) -> None:
-    first, *others = taught.grasps[1:9]
-    drawn = replace(first, source=DRAWING_SOURCE)
-    result = evaluated([drawn, *others], train=taught.grasps, names=["level_check"])
-    assert result.n_test == len(others)
 
 
 def test_what_cannot_be_evaluated_says_why(taught: Any) -> None:
