@@ -228,6 +228,7 @@ def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path
     assert bench.controller.zeros.newest == result
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("made_up_zero")
 def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(monkeypatch, tmp_path) -> None:
     monkeypatch.chdir(tmp_path)
