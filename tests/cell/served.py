@@ -288,13 +288,9 @@ class StubPlugin:
         self._life.latched = LatchedFault(error_text(error), fault_number(error), since_s=1.0e9)
         self._over(JobOutcome.ABORTED, CellState.ABORTED, error=error_text(error), exception=error)
 
-    def show_live(self, live: LiveValues) -> None:
-        """Have these live values until the next change of state."""
-        self._status = replace(self._status, live=live)
-
-    def stop_recording(self, why: str) -> None:
-        """Have a recording that has stopped, until the next change of state."""
-        self._status = replace(self._status, recording_fault=why)
+    def show(self, **values: Any) -> None:
+        """Have these values of `HostStatus` until the next change of state."""
+        self._status = replace(self._status, **values)
 
     # -- what the service asks -----------------------------------------------------------------
 

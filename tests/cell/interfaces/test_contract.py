@@ -190,7 +190,7 @@ def test_a_fault_is_a_number_until_it_is_cleared(connect: Connect) -> None:
     assert host.acquire() == 0
     served.plugin.pause()
     assert host.send(GRIP, 1) == 1
-    served.plugin.stop_recording("No space left on device")
+    served.plugin.show(recording_fault="No space left on device")
     check_values(host, recording=True)
     for number, reboot in ((2, False), (3, True)):
         served.plugin.fail(ServoFault(1, "overload", bits=0x20))

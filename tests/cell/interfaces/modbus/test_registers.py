@@ -70,7 +70,7 @@ def test_live_values_have_their_registers(connect) -> None:
         (0.0, None, 0.0, 0.0, None, [0, 0, reg.OLDEST_MS, 0, reg.OLDEST_MS]),
         (3.0, 99.0, 40.0, 70.0, 99.0, [300, 4000, reg.OLDEST_MS, 70, reg.OLDEST_MS]),
     ):
-        served.plugin.show_live(LiveValues(**dict(zip(names, values, strict=True))))
+        served.plugin.show(live=LiveValues(**dict(zip(names, values, strict=True))))
         inputs = plc.inputs()
         assert [*inputs[13:15], *inputs[21:24]] == registers
 
@@ -278,7 +278,7 @@ def test_the_function_block_runs_every_command_of_the_map(block) -> None:
     served.plugin.pause()
     plc.ready().begin(GRIP, Force=300)
     served.plugin.fail(FrameTimeout("no frame for 0.20 s"))
-    served.plugin.stop_recording("No space left on device")
+    served.plugin.show(recording_fault="No space left on device")
     until(lambda: not plc.cycle()["Busy"])
     assert (plc["Done"], plc["ErrorId"]) == (False, plc["FaultNumber"])
     assert (plc["FaultNumber"], plc["State"], plc["NotRecorded"]) == (401, 9, True)
