@@ -11,7 +11,7 @@ PYTEST_ARGS ?=
 PYTEST = env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest
 TESTS = $(PYTEST) -n auto --dist worksteal $(PYTEST_ARGS)
 # Processor time of all tests of a change in s, and 10 %, on a slow machine; more fails the run.
-TEST_BUDGET_S := 520
+TEST_BUDGET_S := 430
 
 .PHONY: run serve quick test test-long test-real-time coverage mutants wheel-test check format docs docs-pages pictures bench paper campaign soak vcan clients help clean distclean
 

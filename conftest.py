@@ -92,7 +92,7 @@ def _judged(item: pytest.Item) -> Generator[None]:
     began_s, before_s = time.monotonic(), _waited_s()
     try:
         return (yield)
-    except Exception as error:
+    except (Exception, pytest.fail.Exception) as error:
         share = (_waited_s() - before_s) / (time.monotonic() - began_s)
         if share <= _WAITED_SHARE:
             raise
