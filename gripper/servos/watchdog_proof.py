@@ -95,17 +95,17 @@ def prove_watchdog(servos: Servos, clock: Clock) -> None:
                 f"({_LEAST_PULSES} to {farthest} expected), {after} after it, {left} short of its "
                 f"goal"
             )
-    found = "; ".join(unproven)
+    details = "; ".join(unproven)
     if unproven and blocked:
         raise FingerBlocked(
-            f"the fingers stood before the bus watchdog could be tested: {found}. Take out what "
+            f"the fingers stood before the bus watchdog could be tested: {details}. Take out what "
             "lies between them, or free them, then clear the fault, release and start"
         )
     if unproven:
         raise WatchdogUnproven(
-            f"the bus watchdog is not proven to stop the motors: {found}. Do not run this gripper "
-            "unattended; update the firmware or replace the servo, or switch watchdog_self_test "
-            "off to work attended"
+            f"the bus watchdog is not proven to stop the motors: {details}. Do not run this "
+            "gripper unattended; update the firmware or replace the servo, or switch "
+            "watchdog_self_test off to work attended"
         )
 
 

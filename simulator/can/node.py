@@ -29,6 +29,10 @@ BOOT_S = 0.02
 _ABORT = struct.Struct("<BHBL")
 """An SDO abort: command, index, sub-index, code."""
 _SDO_BYTES = 8
+_SPECIFIER_BITS = 0xE0
+"""Command specifier in the first byte of an SDO request (CiA 301)."""
+_UPLOADS = (sdo.REQUEST_UPLOAD, sdo.REQUEST_SEGMENT_UPLOAD)
+"""Specifiers of requests that change no object."""
 # A refusal of the server is an abort for the client, not an error of the simulator.
 logging.getLogger(SdoServer.__module__).setLevel(logging.CRITICAL)
 
@@ -83,12 +87,6 @@ class DeviceNetwork(canopen.Network):
             if not mute:
                 self._send(self.next_due_s, *self._heartbeat)
             self.next_due_s += self._period_s
-
-
-_SPECIFIER_BITS = 0xE0
-"""Command specifier in the first byte of an SDO request (CiA 301)."""
-_UPLOADS = (sdo.REQUEST_UPLOAD, sdo.REQUEST_SEGMENT_UPLOAD)
-"""Specifiers of requests that change no object."""
 
 
 class CanopenDevice(ABC):
