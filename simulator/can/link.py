@@ -15,7 +15,7 @@ import numpy as np
 
 from simulator.can.faults import CanLinkFaults
 from simulator.can.node import SendBurst
-from simulator.can.wire import CanWire, WireMessage
+from simulator.can.wire import CanWire
 
 Capture = Callable[[float, int, bytes], None]
 """Takes time in s, identifier and data of each message on the wire."""
@@ -84,7 +84,7 @@ class CanLink:
 
     def send(self, can_id: int, data: bytes, now_s: float) -> None:
         """Send a message of the host; it reaches the devices before this returns."""
-        self._wire.put(WireMessage(now_s, can_id, data, from_host=True))
+        self._wire.put(now_s, can_id, (data,), from_host=True)
         if not self.faults.bus_off:
             for device in tuple(self._devices):
                 device.receive(can_id, data, now_s)
@@ -128,21 +128,22 @@ class CanLink:
         """
         if len(self._inbox) + self._wire.n_waiting > _INBOX_LIMIT:
             return ready_s
-        for data in burst:
-            self._wire.put(WireMessage(ready_s, can_id, data))
+        self._wire.put(ready_s, can_id, burst)
         return self._wire.end_s(ready_s, can_id)
 
     def _transmit(self, now_s: float) -> None:
         """Move messages sent until ``now_s`` s into the inbox, with the faults."""
         inbox, faults = self._inbox, self.faults
-        for end_s, (_, can_id, data, from_host) in self._wire.take(now_s):
+        disturbs = faults.disturbs
+        for end_s, can_id, data, from_host in self._wire.take(now_s):
             for capture in self.capture:
                 capture(end_s, can_id, data)
+                # It may have injected a fault.
+                disturbs = faults.disturbs
             if from_host:
                 continue
             arrivals: Iterable[tuple[float, int, bytes]] = ((end_s, len(data), data),)
-            # A capture may have injected a fault.
-            if faults.disturbs:
+            if disturbs:
                 arrivals = faults.pass_on(end_s, data, self._rng)
             for arrival_s, length_code, changed in arrivals:
                 message = can.Message(arrival_s, can_id, False, dlc=length_code, data=changed)
@@ -155,8 +156,7 @@ class CanLink:
         if math.isinf(self._flood_due_s):
             self._flood_due_s = now_s
         while self._flood_due_s <= now_s:
-            data = self._rng.bytes(8)
-            self._wire.put(WireMessage(self._flood_due_s, _FLOOD_ID, data))
+            self._wire.put(self._flood_due_s, _FLOOD_ID, (self._rng.bytes(8),))
             self._flood_due_s += 1.0 / self.faults.flood_hz
 
     def _report_state(self, now_s: float) -> None:

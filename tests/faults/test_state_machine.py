@@ -410,6 +410,9 @@ class Driver:
             name = self.simulated.inject(text).entry.name
             self._untrusted = self._untrusted or name in _UNTRUSTED
             self._remounted = self._remounted or name in _REMOUNTED
+            if name in _REMOUNTED and self.controller.life.state.value == "STOPPED":
+                # No host reads the servos, and a servo under torque closes by its own control.
+                self.monitor.pushed()
 
     def heal(self) -> None:
         """End all faults, and plug everything in."""

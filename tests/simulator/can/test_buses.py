@@ -14,7 +14,7 @@ from simulator.can.link import CanLink
 from simulator.can.memory_bus import InMemoryCanBus
 from simulator.can.node import SendBurst
 from simulator.can.slcan import SlcanAdapter
-from simulator.can.wire import CanWire, WireMessage, mean_bits
+from simulator.can.wire import CanWire, mean_bits
 from simulator.clock import VirtualClock
 from simulator.errors import SimulatorStateError
 
@@ -73,10 +73,10 @@ def test_messages_wait_for_each_other_on_the_wire() -> None:
     data = bytes(range(1, 9))
     length_s = mean_bits(data) / 500e3
     for ready_s, can_id in ((1.0, TPDO_ID), (1.0, TPDO_ID), (2.0, TPDO_ID + 1)):
-        wire.put(WireMessage(ready_s, can_id, data))
+        wire.put(ready_s, can_id, [data])
     assert wire.end_s(1.0, TPDO_ID) == pytest.approx(1.0 + 2 * length_s)
     assert wire.end_s(1.0, TPDO_ID - 1) == 1.0
-    ends_s = [end_s for end_s, _ in wire.take(3.0)]
+    ends_s = [end_s for end_s, *_ in wire.take(3.0)]
     assert ends_s == pytest.approx([1.0 + length_s, 1.0 + 2 * length_s, 2.0 + length_s])
     assert wire.n_waiting == 0
     assert math.isinf(wire.next_end_s())
@@ -85,10 +85,9 @@ def test_messages_wait_for_each_other_on_the_wire() -> None:
 def test_the_lowest_identifier_goes_first_but_never_interrupts_one_on_the_wire() -> None:
     wire = CanWire(1_000_000)
     data = bytes(range(1, 9))
-    for _ in range(3):
-        wire.put(WireMessage(1.0, 0x385, data))
-    wire.put(WireMessage(1.0001, 0x285, data))  # while the first of the burst is on the wire
-    order = [message.can_id for _, message in wire.take(2.0)]
+    wire.put(1.0, 0x385, 3 * [data])
+    wire.put(1.0001, 0x285, [data])  # while the first of the burst is on the wire
+    order = [can_id for _, can_id, *_ in wire.take(2.0)]
     assert order == [0x385, 0x285, 0x385, 0x385]
 
 
