@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from gripper.errors import LimitExceeded
 from gripper.mechanics.identification import LEAST_FRICTION_SD
-from gripper.mechanics.kinematics import Linkage, transmissions
+from gripper.mechanics.kinematics import Linkage, Transmission, transmissions
 from gripper.servos.group import Servos
 from gripper.settings import GripperSettings, largest_setpoint_n
 from gripper.values.force_sensor import ForceSample
@@ -51,7 +51,7 @@ def cap_by_current_n(settings: GripperSettings, linkage: Linkage) -> float:
     for path in paths:
         # The friction is measured on each approach.
         sd = min(path.drive.friction_sd, LEAST_FRICTION_SD)
-        known = path._replace(drive=replace(path.drive, friction_sd=sd))
+        known = Transmission(replace(path.drive, friction_sd=sd), path.radius_m)
         error_n = max(error_n, _CAP_SIGMAS * known.force_sd_n(settings.force_max_n))
     cap_n = round(settings.force_max_n - error_n, 1)
     if not largest_setpoint_n(cap_n) > settings.contact_force_n:

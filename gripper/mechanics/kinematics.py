@@ -7,9 +7,7 @@ normal force on one finger; in equilibrium both fingers carry the same force.
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, replace
-from functools import cached_property
 from math import asin, cos, hypot, pi, sin
-from typing import NamedTuple
 
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.errors import LimitExceeded
@@ -143,41 +141,35 @@ class RackPinion(Linkage):
         return self.pinion_radius_m
 
 
-class _Path(NamedTuple):
-    drive: DriveCharacteristic
-    """Drive of the servo."""
-    radius_m: float
-    """Torque of the servo for a grip force of 1 N, in N m / N."""
-
-
-class Transmission(_Path):
+class Transmission:
     """Relation of servo current and grip force at one position, with the friction of the gearing.
 
     The torque at rest may lie anywhere in a band: the motor works against friction while the force
     rises, and friction helps while it falls. Forces of a drive are those that its current would
     make of a rising load without friction.
+
+    Parameters
+    ----------
+    drive
+        Drive of the servo.
+    radius_m
+        Torque of the servo for a grip force of 1 N, in N m / N.
     """
 
-    @cached_property
-    def n_per_a(self) -> float:
+    def __init__(self, drive: DriveCharacteristic, radius_m: float) -> None:
+        self.drive = drive
+        self.radius_m = radius_m
+        self.n_per_a = 1.0 / (drive.rising_a_nm * radius_m)
         """Driving force in N for 1 A."""
-        return 1.0 / (self.drive.rising_a_nm * self.radius_m)
-
-    @cached_property
-    def friction_n(self) -> float:
+        self.friction_n = drive.breakaway_a * self.n_per_a
         """Half the width of the friction band without a load, as grip force in N."""
-        return self.drive.breakaway_a * self.n_per_a
+        self._passive_n = drive.yielding_share * drive.breakaway_a / (drive.falling_a_nm * radius_m)
+        """Largest force in N that the gearing holds without a current."""
 
-    @cached_property
+    @property
     def most_boost(self) -> float:
         """Largest factor on the current that moves a finger: its friction at rest may be more."""
         return max(MOST_FRICTION, self.drive.most_breakaway_a / self.drive.breakaway_a)
-
-    @cached_property
-    def _passive_n(self) -> float:
-        """Largest force in N that the gearing holds without a current."""
-        drive = self.drive
-        return drive.yielding_share * drive.breakaway_a / (drive.falling_a_nm * self.radius_m)
 
     def held_n(self, drive_n: float) -> float:
         """Return the largest force in N that a drive in N holds; below 0 if it opens the finger."""

@@ -5,9 +5,9 @@ back below them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from itertools import islice
 from math import copysign, exp, inf, sqrt
+from typing import NamedTuple
 
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
@@ -66,8 +66,7 @@ OPENING_MARGIN_RAD = 0.05
 """Largest distance in rad of a goal beyond its opening: friction stops fingers short of a goal."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ServoGoal:
+class ServoGoal(NamedTuple):
     """Goal of one servo in current-based position mode."""
 
     angle_rad: float
@@ -90,7 +89,7 @@ class ServoGoal:
 def standing(goals: Sequence[ServoGoal], state: ServoFeedback) -> tuple[ServoGoal, ...]:
     """Return goals at the present positions, with the same currents."""
     pairs = zip(goals, state.angles_rad, strict=True)
-    return tuple(replace(goal, angle_rad=angle_rad) for goal, angle_rad in pairs)
+    return tuple(goal._replace(angle_rad=angle_rad) for goal, angle_rad in pairs)
 
 
 class GoalWriter:
@@ -142,7 +141,7 @@ class GoalWriter:
         """
         self.asked = tuple(goals)
         goals = [
-            goal if goal.current_a <= servo.limit_a else replace(goal, current_a=servo.limit_a)
+            goal if goal.current_a <= servo.limit_a else goal._replace(current_a=servo.limit_a)
             for goal, servo in zip(goals, state.servos, strict=True)
         ]
         goals = self.bounded(goals, state, final=final)
@@ -260,20 +259,20 @@ class GoalWriter:
         over_rad_s = -min(speed_rad_s, state.motor_rad_s) - fastest_rad_s
         if over_rad_s > slow_rad_s(model):
             if final:
-                return replace(goal, angle_rad=state.angle_rad, current_a=most_a)
+                return goal._replace(angle_rad=state.angle_rad, current_a=most_a)
             # Only the excess momentum is removed, or the finger would swing. Friction does a part.
             drive_n = force_n + path.drive.least_breakaway_a * path.n_per_a
             drive_n -= impact.mass_kg * over_rad_s * reach_m / self._settings.period_s
             current_a = min(abs(drive_n) / path.n_per_a, most_a)
             angle_rad = goal.angle_rad if drive_n > 0.0 else state.angle_rad
-            return replace(goal, angle_rad=angle_rad, current_a=current_a)
+            return goal._replace(angle_rad=angle_rad, current_a=current_a)
         free = empty and goal.profile_rad_s == 0.0
         ahead_rad = inf
         if free:
             ahead_rad = closing_margin_rad(model, most_a)
             ahead_rad += running_lead_rad(model, 0.0, fastest_rad_s)
         angle_rad = max(goal.angle_rad, state.angle_rad - ahead_rad)
-        return replace(goal, angle_rad=angle_rad, current_a=most_a)
+        return goal._replace(angle_rad=angle_rad, current_a=most_a)
 
     @property
     def newest_force(self) -> ForceSample | None:

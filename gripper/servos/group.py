@@ -653,7 +653,7 @@ def frozen(last: Sequence[ServoGoal], state: ServoFeedback) -> list[ServoGoal]:
     position control uses as much of the current as it needs.
     """
     return [
-        replace(goal.lasting, angle_rad=min(goal.lasting.angle_rad, servo.angle_rad))
+        goal.lasting._replace(angle_rad=min(goal.lasting.angle_rad, servo.angle_rad))
         for goal, servo in zip(last, state.servos, strict=True)
     ]
 
@@ -661,7 +661,7 @@ def frozen(last: Sequence[ServoGoal], state: ServoFeedback) -> list[ServoGoal]:
 def for_hours(goals: Sequence[ServoGoal], settings: GripperSettings) -> list[ServoGoal]:
     """Return goals with at most the currents that the servos bear for hours."""
     return [
-        replace(goal, current_a=min(goal.current_a, one.servo_model.holding_a))
+        goal._replace(current_a=min(goal.current_a, one.servo_model.holding_a))
         for goal, one in zip(goals, settings.servos, strict=True)
     ]
 
@@ -674,7 +674,7 @@ def holding_position(
     No finger pushes on, and none yields by more than position control of the servos does.
     """
     goals = standing(frozen(last, state), state)
-    return [replace(goal, current_a=share * goal.current_a) for goal in goals]
+    return [goal._replace(current_a=share * goal.current_a) for goal in goals]
 
 
 def lowered(
@@ -690,13 +690,12 @@ def lowered(
     """
     if share >= 0.0:
         return [
-            replace(goal, current_a=min(share * goal.current_a, now.lasting.current_a))
+            goal._replace(current_a=min(share * goal.current_a, now.lasting.current_a))
             for goal, now in zip(first, last, strict=True)
         ]
     models = (one.servo_model for one in settings.servos)
     return [
-        replace(
-            goal,
+        goal._replace(
             angle_rad=servo.angle_rad + closing_margin_rad(model, -share * goal.current_a),
             current_a=-share * goal.current_a,
         )

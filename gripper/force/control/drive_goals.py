@@ -1,7 +1,6 @@
 """Goals of the servos for a driving force, and the limits of their closing and opening."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from math import inf
 
 from gripper.dynamixel.models import ServoModel
@@ -90,7 +89,7 @@ class DriveGoals:
                     current_a=current_a,
                     setpoint_n=grip.setpoint_n,
                 )
-            goals.append(replace(goal, rest=rest))
+            goals.append(goal._replace(rest=rest))
         return tuple(goals)
 
     def _limit(

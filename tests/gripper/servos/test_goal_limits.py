@@ -91,10 +91,10 @@ GOOD = ServoGoal(angle_rad=0.09, current_a=0.2)
 @pytest.mark.parametrize(
     ("goal", "age_s", "says"),
     [
-        (replace(GOOD, current_a=0.9), 0.0, r"goal current 0\.900"),
-        (replace(GOOD, current_a=-0.1), 0.0, "from 0 to"),
-        (replace(GOOD, angle_rad=0.05, current_a=0.7), 0.0, "force_max_n is 15"),
-        (replace(GOOD, angle_rad=1.4), 0.0, "goal angle"),
+        (GOOD._replace(current_a=0.9), 0.0, r"goal current 0\.900"),
+        (GOOD._replace(current_a=-0.1), 0.0, "from 0 to"),
+        (GOOD._replace(angle_rad=0.05, current_a=0.7), 0.0, "force_max_n is 15"),
+        (GOOD._replace(angle_rad=1.4), 0.0, "goal angle"),
         (GOOD, 0.5, r"feedback is 0\.500 s old"),
     ],
 )
@@ -110,7 +110,7 @@ def test_a_finger_past_its_end_may_stay_where_it_was_read_one_count_before() -> 
     writer, count_rad = make_writer(), PAIR.servos[0].servo_model.rad_per_pulse
     past = replace(make_servo(angle_rad=1.4), velocity_rad_s=0.0)
     state = make_state(servos=(past, replace(past, servo_id=2)))
-    stays, opens = (replace(GOOD, angle_rad=1.4 + n * count_rad) for n in (1, 2))
+    stays, opens = (GOOD._replace(angle_rad=1.4 + n * count_rad) for n in (1, 2))
     writer.check([stays, stays], state)
     with pytest.raises(LimitExceeded, match="goal angle"):
         writer.check([opens, opens], state)

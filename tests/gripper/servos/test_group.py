@@ -1,6 +1,5 @@
 """The servo group: stop goals, and old goals that never act again after a trip of the watchdog."""
 
-from dataclasses import replace
 from itertools import chain, repeat
 from unittest.mock import DEFAULT, Mock
 
@@ -125,4 +124,4 @@ def test_a_push_does_not_stay_on_a_frozen_finger() -> None:
     state = make_state(servos=(make_servo(angle_rad=0.5),))
     (rest,) = goals(0.40, 0.2)
     for pushes in goals(0.40, 0.6) + goals(0.60, 0.1):
-        assert frozen([replace(pushes, rest=rest)], state) == [rest]
+        assert frozen([pushes._replace(rest=rest)], state) == [rest]

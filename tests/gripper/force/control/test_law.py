@@ -108,7 +108,7 @@ def ramp(start_n: float, end_n: float, rate_n_s: float, hold_s: float = 0.5) -> 
 
 
 LOSSY = replace(PATHS[0].drive, falling_a_nm=0.5 * PATHS[0].drive.rising_a_nm, yielding_share=0.8)
-GEARINGS = {"rigid": PATHS, "lossy": (PATHS[0]._replace(drive=LOSSY),) * 2}
+GEARINGS = {"rigid": PATHS, "lossy": (Transmission(LOSSY, PATHS[0].radius_m),) * 2}
 
 
 @pytest.mark.parametrize("gearing", GEARINGS)
