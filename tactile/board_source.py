@@ -13,8 +13,8 @@ from tactile.clock import Clock
 from tactile.errors import FrameTimeout, LinkFault, LinkStateError, NodeMissing
 from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.source import (
+    COUNTER_MASK,
     Arrivals,
-    FrameStatistics,
     FrameStatus,
     PadZero,
     SourceIdentity,
@@ -116,8 +116,7 @@ class PolledBoards(ABC, Generic[_Board]):
         self._order = taxel_order(layout, mounts)
         self._silence_s = max(silence_s, self.silent_periods * period_s)
         self._max_loss_rate, self._startup_s = max_loss_rate, startup_timeout_s
-        self._frames = FrameStatistics()
-        self._foreign = self._malformed = self._errors = 0
+        self._counts = SourceStatistics()
         self._fault: LinkFault | None = None
         self._running = False
 
@@ -150,13 +149,8 @@ class PolledBoards(ABC, Generic[_Board]):
     @property
     def statistics(self) -> SourceStatistics:
         """Counts since the last start."""
-        return SourceStatistics(
-            frames=self._frames,
-            recent_loss_rate=max(board.loss_rate for board in self._boards),
-            foreign=self._foreign,
-            malformed=self._malformed,
-            error_frames=self._errors,
-        )
+        loss_rate = max(board.loss_rate for board in self._boards)
+        return self._counts.copied(recent_loss_rate=loss_rate)
 
     def start(self) -> SourceIdentity:
         """Open the lines and wait for a frame of each board.
@@ -164,8 +158,7 @@ class PolledBoards(ABC, Generic[_Board]):
         Raises NodeMissing if a line cannot be opened, and FrameTimeout if a board sends no frames.
         """
         self.stop()
-        self._frames = FrameStatistics()
-        self._foreign = self._malformed = self._errors = 0
+        self._counts = SourceStatistics()
         began_s = self.clock.monotonic()
         for board in self._boards:
             board.restart(began_s)
@@ -232,12 +225,12 @@ class PolledBoards(ABC, Generic[_Board]):
         whole = np.concatenate(by_pad).reshape(self.layout.n_taxels, -1)[self._order]
         counts, extra = whole[:, 0].copy(), whole[:, 1:]
         counts.setflags(write=False)
-        self._frames.complete += 1
+        self._counts.frames.complete += 1
         full = FrameStatus.SATURATED if counts.max() >= self.layout.adc_max else 0
         return TactileFrame(
             t_s=max(ends_s),
             begun_s=min(begun_s),
-            counter=self._frames.complete & 0xFFFF,
+            counter=self._counts.frames.complete & COUNTER_MASK,
             status=int(full),
             counts=counts,
             extra=extra if extra.size else None,
@@ -282,7 +275,7 @@ class BoardSource(PolledBoards[Board]):
 
     def damaged(self) -> None:
         """Count an unusable frame."""
-        self._frames.corrupt += 1
+        self._counts.frames.corrupt += 1
         self._board.sound.append(False)
 
     def _receive(self) -> Sequence[TactileFrame]:
@@ -292,7 +285,7 @@ class BoardSource(PolledBoards[Board]):
         for begun_s, samples in received:
             # Noise does not repeat itself.
             if self._board.seen and np.array_equal(samples, self._last):
-                self._frames.duplicate += 1
+                self._counts.frames.duplicate += 1
                 continue
             self._last = samples
             self._board.saw(begun_s, now_s, samples)

@@ -4,9 +4,9 @@ The CANopen control unit (`tactile.control_unit`) is one source. Higher layers w
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntFlag
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,11 +175,11 @@ class ForceStatistics:
     """Messages with a wrong CRC or length, dropped."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class SourceStatistics:
     """Counts of a source since its start."""
 
-    frames: FrameStatistics
+    frames: FrameStatistics = field(default_factory=FrameStatistics)
     recent_loss_rate: float = 0.0
     """Share of the newest frames that were lost, 0 to 1."""
     forces: ForceStatistics = field(default_factory=ForceStatistics)
@@ -193,6 +193,10 @@ class SourceStatistics:
     """Requests for a frame, as SYNC; 0 where the device sends unasked."""
     late_requests: int = 0
     """Requests that were sent more than one period late; they are not made up for."""
+
+    def copied(self, **changes: Any) -> "SourceStatistics":
+        """Return the present counts with changes; the source goes on with its own."""
+        return replace(self, frames=replace(self.frames), forces=replace(self.forces), **changes)
 
 
 class FrameSource(Protocol):

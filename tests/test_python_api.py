@@ -91,8 +91,8 @@ def loaded(modules: str) -> set[str]:
         ),
         ("gripper, gripper.dynamixel.control_table, gripper.force.ramp", SERVOS),
         (
-            "tactile.layout, tactile.frames.transport, tactile.control_unit.object_dictionary, "
-            "tactile.frames.force_message, tactile.sensor.sensor",
+            "tactile.layout, tactile.frames.transport, tactile.frames.force_message, "
+            "tactile.sensor.sensor",
             ("can",),
         ),
     ],

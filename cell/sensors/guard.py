@@ -13,7 +13,6 @@ from tactile.source import (
     COUNTER_MASK,
     Arrivals,
     FrameSource,
-    FrameStatistics,
     PadZero,
     SourceIdentity,
     SourceStatistics,
@@ -45,7 +44,7 @@ class GuardedSource:
     ) -> None:
         self.layout, self._name, self._clock = layout, name, clock
         self.sends_forces = False
-        self.statistics = SourceStatistics(frames=FrameStatistics())
+        self.statistics = SourceStatistics()
         self._least_s = self._least_force_s = 0.0
         self._fault: LinkFault | None = None
         with self._guarded():

@@ -31,7 +31,6 @@ from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.source import (
     Arrivals,
     ForceMessage,
-    ForceStatistics,
     ForceStatus,
     PadZero,
     SourceStatistics,
@@ -156,16 +155,16 @@ class TactileLink:
         )
         """Reads and writes the unit's objects."""
         self.objects.network = self._network
-        self._watch = NodeWatch(self._name, self.settings)
         frame_format = FrameFormat.of(self.layout)
         self._assembler = FrameAssembler(frame_format, self._mounting.order)
+        self._counts = SourceStatistics(frames=self._assembler.counts)
+        self._watch = NodeWatch(self._name, self.settings, self._counts)
         self._flow = FrameFlow(self._name, self.settings, frame_format.n_messages)
         self._force_flow: ForceFlow | None = None
         self._frames: list[TactileFrame] = []
         self._new_forces: list[ForceMessage] = []
         self._looked_s = 0.0
         self._next_sync_s: float | None = None
-        self._syncs = self._late_syncs = 0
         self._bad_lines = bad_lines(self._bus)
         for cob_id, handler in (
             (od.COB_TPDO1 + node_id, self._on_frame),
@@ -178,22 +177,14 @@ class TactileLink:
     @property
     def statistics(self) -> SourceStatistics:
         """Counts since the last start."""
-        flow = self._force_flow
-        return SourceStatistics(
-            frames=replace(self._assembler.counts),
-            forces=ForceStatistics() if flow is None else replace(flow.counts),
-            recent_loss_rate=self._flow.recent_loss_rate,
-            foreign=self._watch.foreign,
-            malformed=self._unusable,
-            error_frames=self._watch.error_frames,
-            requests=self._syncs,
-            late_requests=self._late_syncs,
+        return self._counts.copied(
+            recent_loss_rate=self._flow.recent_loss_rate, malformed=self._unusable
         )
 
     @property
     def _unusable(self) -> int:
         """Number of unusable messages without frame messages of a wrong length."""
-        return self._watch.unusable + bad_lines(self._bus) - self._bad_lines
+        return self._counts.malformed + bad_lines(self._bus) - self._bad_lines
 
     def start(self) -> NodeIdentity:
         """Reset the unit's communication, check it, set it up and start its frames.
@@ -230,7 +221,7 @@ class TactileLink:
         set_up(objects, settings)
         if table is not None:
             frame_id = set_up_forces(objects, settings, self._node_id, table)
-            self._force_flow = ForceFlow(self._name, settings)
+            self._force_flow = ForceFlow(self._name, settings, self._counts.forces)
             self._network.unsubscribe(od.COB_TPDO1 + self._node_id)
             self._network.subscribe(frame_id, self._on_frame)
             self._network.subscribe(od.COB_TPDO2 + self._node_id, self._on_force)
@@ -397,7 +388,7 @@ class TactileLink:
             elif of_another_kind(message):
                 watch.on_foreign(t_s)
             elif len(message.data) != message.dlc:
-                watch.unusable += 1
+                self._counts.malformed += 1
             else:
                 if message.arbitration_id not in network.subscribers:
                     watch.on_foreign(t_s)
@@ -406,10 +397,10 @@ class TactileLink:
     def _sync(self, now_s: float, due_s: float) -> None:
         self._flow.before_sync()
         self._send(od.COB_SYNC, b"")
-        self._syncs += 1
+        self._counts.requests += 1
         period_s = self.settings.sync_period_s
         if now_s - due_s >= period_s:
-            self._late_syncs += 1
+            self._counts.late_requests += 1
             due_s = now_s
         self._next_sync_s = max(due_s + period_s, now_s + _LEAST_GAP * period_s)
 

@@ -5,10 +5,8 @@ Objects have their names in `control_unit.eds`; the communication profile follow
 
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    import canopen
+import canopen
 
 EDS_PATH = Path(__file__).with_name("control_unit.eds")
 
@@ -42,11 +40,9 @@ PDO_INVALID = 1 << 31
 
 
 @cache
-def of_node(node_id: int) -> "canopen.ObjectDictionary":
+def of_node(node_id: int) -> canopen.ObjectDictionary:
     """Return the dictionary of the EDS for a node-ID; all links and units of a process share it.
 
     It is never written: canopen stores the values of a node in the node.
     """
-    import canopen  # noqa: PLC0415  settings need the constants only, and canopen is slow to load
-
     return canopen.import_od(str(EDS_PATH), node_id)

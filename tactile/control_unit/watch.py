@@ -16,7 +16,7 @@ from tactile.can.bus import ACTIVE, CLASS_CONTROLLER, PASSIVE
 from tactile.control_unit.settings import LinkSettings
 from tactile.errors import FrameError
 from tactile.frames.force_message import COUNTERS, decode_force_message
-from tactile.source import ForceMessage, ForceStatistics, ForceStatus
+from tactile.source import ForceMessage, ForceStatistics, ForceStatus, SourceStatistics
 
 BOOT_UP = 0
 """State byte of a boot-up message (CiA 301, 7.2.8.3.3); canopen calls that state INITIALISING."""
@@ -139,8 +139,8 @@ class NodeWatch:
     Its ``on_`` methods are handlers of messages for ``canopen.Network.subscribe``.
     """
 
-    def __init__(self, name: str, settings: LinkSettings) -> None:
-        self._name = name
+    def __init__(self, name: str, settings: LinkSettings, counts: SourceStatistics) -> None:
+        self._name, self._counts = name, counts
         self._silence_s = _HEARTBEATS * settings.heartbeat_s
         self._foreign_limit = TrafficLimit(
             "messages of other nodes or unknown COB-IDs",
@@ -155,7 +155,7 @@ class NodeWatch:
         self._in_operation = False
         self._heartbeat_at_s, self._passive_since_s = -inf, inf
         self.state: int | None = None
-        self.boot_ups = self.unusable = self.error_frames = self.foreign = 0
+        self.boot_ups = 0
 
     def enter_operation(self, now_s: float) -> None:
         """Require from now on that the unit is operational and sends its heartbeat."""
@@ -169,15 +169,15 @@ class NodeWatch:
 
     def on_foreign(self, t_s: float) -> None:
         """Process a message of another node."""
-        self.foreign += 1
-        self._foreign_limit.reach(self.foreign, t_s)
+        self._counts.foreign += 1
+        self._foreign_limit.reach(self._counts.foreign, t_s)
 
     def on_heartbeat(self, _cob_id: int, data: bytes | bytearray, t_s: float) -> None:
         """Process a message of COB-ID 0x700 + node; some units send a boot-up without data."""
         state = data[0] & _STATE_BITS if data else BOOT_UP
         if state != BOOT_UP and state not in NMT_STATES:
             # This state does not exist: a bit was flipped on the bus.
-            self.unusable += 1
+            self._counts.malformed += 1
             return
         self.state = state
         self._heartbeat_at_s = max(t_s, self._heartbeat_at_s)
@@ -201,7 +201,7 @@ class NodeWatch:
         A shorter one with its code is an emergency, too: its sender has an error.
         """
         if len(data) < _EMERGENCY_CODE_BYTES:
-            self.unusable += 1
+            self._counts.malformed += 1
             return
         code, register, _ = EMCY_STRUCT.unpack(data.ljust(EMCY_STRUCT.size, b"\0"))
         if code:
@@ -215,7 +215,7 @@ class NodeWatch:
 
     def on_error_frame(self, classes: int, data: bytes | bytearray, t_s: float) -> None:
         """Process an error frame of the host's own CAN controller."""
-        self.error_frames += 1
+        self._counts.error_frames += 1
         if classes & _CLASS_BUS_OFF:
             raise errors.BusOff(
                 "the CAN controller of the host is bus-off: check wiring, termination and bit "
@@ -331,8 +331,10 @@ class FrameFlow:
 class ForceFlow:
     """Force messages: each is returned once, none after a newer one; few lost, late or silent."""
 
-    def __init__(self, name: str, settings: LinkSettings) -> None:
+    def __init__(self, name: str, settings: LinkSettings, counts: ForceStatistics) -> None:
         self._name, self._settings = name, settings
+        self.counts = counts
+        """Counts so far; they are updated."""
         self._period_s = settings.force_period_s
         rate_hz, burst = 1.0 / settings.force_period_s, settings.force_timeout_s
         self._lost = TrafficLimit(
@@ -350,8 +352,6 @@ class ForceFlow:
         self._last_s, self._stalled_s, self._stall_s = -inf, -inf, 0.0
         self._last_counter, self._last_data = 0, b""
         self._came_s = 0.0
-        self.counts = ForceStatistics()
-        """Counts so far; they are updated."""
         self._sent = 0
         self._delays: deque[tuple[float, float]] = deque()
         self._least_s = self._least_before_s = inf

@@ -151,11 +151,11 @@ class FlexiTacSource(PolledBoards[_Board]):
         now_s = self.clock.monotonic()
         stalled = now_s - self._polled_s > _STALL_PERIODS * PERIOD_S
         if stalled:
-            self._frames.lost += int((now_s - self._polled_s) / PERIOD_S)
+            self._counts.frames.lost += int((now_s - self._polled_s) / PERIOD_S)
         self._polled_s = now_s
         for board, line in zip(self._boards, self._lines, strict=True):
             with self._line_of(board.name):
-                board.receive(line, now_s, self._frames, stalled=stalled)
+                board.receive(line, now_s, self._counts.frames, stalled=stalled)
         return self._new_frames()
 
     def close(self) -> None:

@@ -145,13 +145,11 @@ class QualityWatch:
 
         Half of a pad's taxels may be touched. Parameters as `drift_outside`.
         """
-        of_pads = (
-            self._drift_of(
-                np.flatnonzero(self._layout.taxel_pad == n), f"pad {pad.name}", tared, void
-            )
-            for n, pad in enumerate(self._layout.pads)
-        )
-        return next(filter(None, of_pads), "")
+        for n, pad in enumerate(self._layout.pads):
+            taxels = np.flatnonzero(self._layout.taxel_pad == n)
+            if drift := self._drift_of(taxels, f"pad {pad.name}", tared, void):
+                return drift
+        return ""
 
     def _drift_of(self, taxels: NDArray[np.int64], what: str, tared: Values, void: Mask) -> str:
         tare, good = self._tare, taxels[~void[taxels]]

@@ -14,7 +14,14 @@ from tactile.clock import Clock
 from tactile.errors import CalibrationError, ForceContradicted, FrameTimeout, ZeroDrifted
 from tactile.layout import TaxelLayout
 from tactile.sensor.calibration import Calibration
-from tactile.sensor.filters import ActiveTaxels, Neighbourhood, Values, fill_bad, typical_noise
+from tactile.sensor.filters import (
+    ActiveTaxels,
+    Mask,
+    Neighbourhood,
+    Values,
+    fill_bad,
+    typical_noise,
+)
 from tactile.sensor.force_check import ForceCentres, ForceCheck
 from tactile.sensor.quality import QualityWatch
 from tactile.sensor.settings import SensorSettings
@@ -80,9 +87,9 @@ class TactileReading:
     """Force on the gripping pad of finger 0 and of finger 1 in N."""
     scan_force_n: tuple[float, float]
     """The same of this frame alone, on the taxels that were touched in the last frames."""
-    active: NDArray[np.bool_]
-    saturated: NDArray[np.bool_]
-    bad: NDArray[np.bool_]
+    active: Mask
+    saturated: Mask
+    bad: Mask
     """(n_taxels,) bool: touched taxels; taxels at full scale in this frame; taxels that do not
     measure: dead, stuck or constantly at full scale, filled from their neighbours."""
     ok: bool
@@ -158,7 +165,7 @@ class TactileSensor:
         """Standard deviation in N of the grip force of one force message, or of one frame."""
         self._failed: FrameTimeout | ForceContradicted | None = None
         self._new_forces: deque[ForceMessage] = deque(maxlen=_MOST_FORCES)
-        self._force_bad: NDArray[np.bool_] | None = None
+        self._force_bad: Mask | None = None
         self._taxel_noise_n = (inf, inf)
         self.statistics = SensorStatistics()
         """Counts since the start."""
@@ -228,7 +235,7 @@ class TactileSensor:
         """
         return self._force_bad is not None and bool((self._force_bad == self._quality.bad).all())
 
-    def _noise_n(self, active: NDArray[np.bool_]) -> float:
+    def _noise_n(self, active: Mask) -> float:
         variance_n2 = 0.0
         for taxels, taxel_n in zip(self._grips, self._taxel_noise_n, strict=True):
             n = max(_LEAST_TOUCHED, int(np.count_nonzero(active[taxels])))
@@ -359,7 +366,8 @@ class TactileSensor:
         force_n = np.where(active, self.calibration.force_n(tared), 0.0)
         all_n = self.calibration.force_n(counts)
         scan_n = np.where(active, all_n, 0.0)
-        reason = self._objection(frame, full, bad, tared)
+        full_scale = self._full_scale(full)
+        reason = self._objection(frame, full_scale, bad, saturated | bad, tared)
         if not reason and self.has_forces:
             self._compare(frame, counts, active, scan_n, all_n)
         for array in (tared, active, force_n, saturated, bad):
@@ -378,17 +386,12 @@ class TactileSensor:
             saturated=saturated,
             bad=bad,
             ok=not reason,
-            at_least=bool(reason) and reason == self._full_scale(full),
+            at_least=bool(reason) and reason == full_scale,
             reason=reason,
         )
 
     def _compare(
-        self,
-        frame: TactileFrame,
-        counts: Values,
-        active: NDArray[np.bool_],
-        scan_n: Values,
-        all_n: Values,
+        self, frame: TactileFrame, counts: Values, active: Mask, scan_n: Values, all_n: Values
     ) -> None:
         pad = self.layout.pads[self.layout.gripping_pads[0]]
         # Noise of each touched taxel of a gripping pad in this frame: a count is more force on a
@@ -429,33 +432,27 @@ class TactileSensor:
         return first_n, second_n
 
     def _objection(
-        self,
-        frame: TactileFrame,
-        saturated: NDArray[np.bool_],
-        bad: NDArray[np.bool_],
-        tared: Values,
+        self, frame: TactileFrame, full_scale: str, bad: Mask, void: Mask, tared: Values
     ) -> str:
+        """Return why the forces of a frame may not be used, else ""."""
         if self.tare_result is None:
             return "not tared since the start"
         if frame.status & FrameStatus.CONVERTER_FAULT:
             return "the unit's converter failed its self-test"
         if not self._mean_full:
             return "too few frames since the tare or the last gap"
-        grip = self._full_scale(saturated) or self._too_many_bad(bad)
-        return grip or self._quality.drift_outside(tared, bad | saturated)
+        if full_scale:
+            return full_scale
+        for finger, taxels in enumerate(self._grips):
+            n_bad = int(np.count_nonzero(bad[taxels]))
+            if too_many_bad(n_bad, taxels.stop - taxels.start, self._settings.bad_share):
+                return f"{n_bad} taxels of finger {finger} bad"
+        return self._quality.drift_outside(tared, void)
 
-    def _full_scale(self, saturated: NDArray[np.bool_]) -> str:
+    def _full_scale(self, saturated: Mask) -> str:
         for finger, taxels in enumerate(self._grips):
             if n_full := np.count_nonzero(saturated[taxels]):
                 return f"{n_full} taxels of finger {finger} saturated: press with less force"
-        return ""
-
-    def _too_many_bad(self, bad: NDArray[np.bool_]) -> str:
-        for finger, taxels in enumerate(self._grips):
-            n_bad = int(np.count_nonzero(bad[taxels]))
-            share = self._settings.bad_share
-            if too_many_bad(n_bad, taxels.stop - taxels.start, share):
-                return f"{n_bad} taxels of finger {finger} bad"
         return ""
 
 

@@ -141,8 +141,8 @@ class UskinSource(PolledBoards[_Board]):
         n_taxels = len(board.ids.taxels)
         return (
             f"{board.name} sent no whole cycle of {n_taxels} taxels within {self._startup_s:g} s; "
-            f"{self._foreign} messages have identifiers that tactile.sensor.boards does not name: "
-            "check cable, supply, address and that map"
+            f"{self._counts.foreign} messages have identifiers that tactile.sensor.boards does not "
+            "name: check cable, supply, address and that map"
         )
 
     def open(self) -> None:
@@ -160,7 +160,7 @@ class UskinSource(PolledBoards[_Board]):
         frames: list[TactileFrame] = []
         for t_s, message in self._source.drain():
             if message.is_error_frame:
-                self._errors += 1
+                self._counts.error_frames += 1
                 if message.arbitration_id & _BUS_OFF:
                     raise BusOff(
                         "the CAN controller is off the bus: check cable, termination and bit rate"
@@ -168,13 +168,13 @@ class UskinSource(PolledBoards[_Board]):
                 continue
             board = self._owner.get(message.arbitration_id)
             if board is None or of_another_kind(message):
-                self._foreign += 1
+                self._counts.foreign += 1
                 continue
             xyz = samples(message.data)
             if xyz is None:
-                self._malformed += 1
+                self._counts.malformed += 1
                 continue
-            self._frames.torn += board.take(message.arbitration_id, xyz, t_s)
+            self._counts.frames.torn += board.take(message.arbitration_id, xyz, t_s)
             frames += self._new_frames()
         for board in self._boards:
             if board.doubled:

@@ -37,6 +37,7 @@ from tactile.errors import (
 )
 from tactile.frames.transport import FrameFormat
 from tactile.layout import paper_layout
+from tactile.source import SourceStatistics
 
 NODE = 5
 FRAMES = 0x180 + NODE
@@ -496,7 +497,8 @@ def test_texts(code: int, text: str) -> None:
 
 
 def test_restart_of_the_controller_ends_error_passive() -> None:
-    watch = NodeWatch("the unit", LinkSettings())
+    counts = SourceStatistics()
+    watch = NodeWatch("the unit", LinkSettings(), counts)
     watch.on_error_frame(0x04, bytes([0, 0x30]), 1.0)
     watch.on_error_frame(0x100, b"", 1.2)
     watch.check(2.0, 0)
@@ -505,4 +507,4 @@ def test_restart_of_the_controller_ends_error_passive() -> None:
     watch.on_error_frame(0x04, b"", 3.4)
     with pytest.raises(BusErrorPassive, match=r"0\.50 s"):
         watch.check(3.5, 0)
-    assert watch.error_frames == 5
+    assert counts.error_frames == 5

@@ -11,7 +11,7 @@ from tactile.control_unit.watch import ForceFlow
 from tactile.errors import FrameError, LayoutError
 from tactile.frames.force_message import crc8, decode_force_message
 from tactile.frames.transport import PHASE_SHIFT, FrameAssembler, FrameFormat
-from tactile.source import ForceMessage, ForceStatus, TactileFrame
+from tactile.source import ForceMessage, ForceStatistics, ForceStatus, TactileFrame
 
 PAPER = FrameFormat(n_taxels=408, sample_bytes=1)
 
@@ -100,7 +100,7 @@ def test_one_turned_bit_is_noticed(bit: int) -> None:
 
 @pytest.fixture
 def stream() -> ForceFlow:
-    return ForceFlow("the unit", LinkSettings(force_period_s=0.003))
+    return ForceFlow("the unit", LinkSettings(force_period_s=0.003), ForceStatistics())
 
 
 def test_lost_repeated_late_and_damaged_messages_are_told_apart(stream) -> None:
