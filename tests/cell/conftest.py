@@ -1,32 +1,27 @@
 """Simulated cells that several tests of the cell share."""
 
+import subprocess
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from cell.build import build_cell
-from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.control.lifecycle import CellLifecycle
 from cell.control.self_zero import zero_text
 from cell.control.zeroing import Zeroing
-from cell.interfaces.cli.app import app
 from cell.recording.dataset import read_dataset
 from cell.runtime.main_job import MainResult, teach_and_identify
 from cell.runtime.plugin import TactileCellPlugin
-from gripper.values.state import GripperPhase
-from pytest_tactile_cell.virtual import VirtualCell
 from recognition.drift.self_zero import ZeroMeasurement
 from recognition.grasp import Grasp, SelfZero
-from recognition.recognizer import Posterior
-from simulator.clock import VirtualClock
-from tests.values import make_pads
+from tests.cell.cells import Bench, MakeBench, quick_config, small_config
+from tests.cell.served import BRISK, Served, serving
+from tests.waiting import LIMIT_S
 
 WHOLE = {"make_bench", "make_plugin", "make_stand", "grasped", "taught"}
 WHOLE |= {"open_page", "fleet", "aged"}
@@ -39,103 +34,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if WHOLE & {*getattr(item, "fixturenames", ())}:
             item.add_marker("slow")
-
-
-def call(*arguments: object, answers: str = "") -> str:
-    """Run a command that succeeds; return what it printed."""
-    words = [str(a) for a in arguments]
-    result = CliRunner().invoke(app, words, input=answers, catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    return result.stdout
-
-
-def small_config(**changes: Any) -> CellConfig:
-    """Two objects, a short zero and way, a self-zero on demand; the rest as built in."""
-    small = {
-        "self_zero": "on_demand",
-        "gripper.aperture_open_mm": 14.0,
-        "tactile.tare_frames": 25,
-        "simulator.objects": [
-            {"label": "ball", "shape": "sphere:diameter=9.5mm"},
-            {"label": "box", "shape": "box:length=15.9mm,width=10mm,height=10mm"},
-        ],
-    }
-    wanted = {path.replace("__", "."): value for path, value in changes.items()}
-    return changed_config(CellConfig(), small | wanted)
-
-
-COARSE_PADS = {
-    "name": "coarse",
-    "adc_max": 255,
-    "pads": [
-        {"finger": finger, "face": "inner", "rows": 6, "columns": 3}
-        | {"pitch_x_mm": 5.0, "pitch_y_mm": 5.0}
-        for finger in (0, 1)
-    ],
-}
-"""One pad of 6 x 3 taxels on each finger: frames of six messages."""
-
-
-def quick_config(**changes: Any) -> CellConfig:
-    """As `small_config`, with coarse pads, a shorter zero and way; for no taught model."""
-    quick = {
-        "tactile.layout": COARSE_PADS,
-        "tactile.tare_frames": 10,
-        "gripper.aperture_open_mm": 12.0,
-    }
-    return small_config(**quick | changes)
-
-
-REAL = {
-    "gripper.port": "/dev/ttyUSB0",
-    "tactile.interface": "socketcan",
-    "tactile.channel": "can0",
-    "positioner.kind": "operator",
-}
-"""Ports of a real cell."""
-
-
-def once(
-    clock: VirtualClock,
-    happens: Callable[[], bool],
-    act: Callable[[], object],
-    after_s: float = 0.0,
-) -> list[float]:
-    """Do something once, when so long has passed since a condition was met first.
-
-    Returns the list that gets the time in s.
-    """
-    since_s: list[float] = []
-    done_s: list[float] = []
-
-    def look(now_s: float) -> None:
-        if not done_s and happens():
-            since_s.append(now_s)
-            if now_s - since_s[0] >= after_s:
-                done_s.append(now_s)
-                act()
-
-    clock.on_advance.append(look)
-    return done_s
-
-
-@dataclass(frozen=True, kw_only=True)
-class Bench(VirtualCell):
-    """A cell in virtual time that can be acted on in its phases."""
-
-    @property
-    def life(self) -> CellLifecycle:
-        return self.controller.life
-
-    def ready(self, label: str = "ball") -> "Bench":
-        self.start(label)
-        return self
-
-    def once_in(
-        self, phase: GripperPhase, act: Callable[[], object], after_s: float = 0.0
-    ) -> list[float]:
-        """Do something once, when the gripper has been in a phase for so long; as `once`."""
-        return once(self.clock, lambda: self.controller.hand.phase is phase, act, after_s)
 
 
 @pytest.fixture
@@ -152,10 +50,6 @@ def made_up_zero(monkeypatch: pytest.MonkeyPatch) -> SelfZero:
 
     monkeypatch.setattr(Zeroing, "_measure", measure)
     return zero
-
-
-MakeBench = Callable[..., Bench]
-"""Maker of simulated cells; takes a config and what `build_cell` takes."""
 
 
 @pytest.fixture
@@ -233,62 +127,51 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Taught:
     return Taught(config, result, read_dataset(result.dataset), tuple(progress))
 
 
-def plain_grasp(label: str, **changes: Any) -> Grasp:
-    """Twelve frames of random counts while the fingers close from 40 to 10 mm."""
-    pads = make_pads(((4, 3), (4, 3)))
-    n = 12
-    values: dict[str, Any] = {
-        "pads": pads,
-        "counts": np.random.default_rng(len(label)).integers(0, 4096, (n, pads.n_taxels)),
-        "t_s": np.arange(n) * 0.03,
-        "aperture_m": np.linspace(0.04, 0.01, n),
-        "force_n": np.linspace(0.0, 5.0, n),
-        "label": label,
-    }
-    return Grasp(**(values | changes))
+@pytest.fixture
+def serve(request: pytest.FixtureRequest, undo: ExitStack) -> Callable[..., Served]:
+    """Return the maker of services; ``interfaces`` opens them.
 
-
-class Scripted:
-    """A recognizer that gives these answers, the last one again and again, and notes what it sees.
-
-    Each answer is the share of the first label, and the probability of an unknown object.
+    Each stands on a stub, or with ``cell``, options of the plugin, on a simulated cell that was
+    taught.
     """
 
-    name, labels, uses_aperture = "scripted", ("ball", "box"), False
+    def make(*interfaces: str, cell: dict[str, Any] | None = None, **more: Any) -> Served:
+        if cell is not None:
+            cell = {"model": request.getfixturevalue("taught").result.model} | cell
+        return undo.enter_context(serving(*interfaces, cell=cell, **more))
 
-    def __init__(
-        self,
-        *answers: tuple[float, float],
-        drawn_m: tuple[float, ...] = (),
-        look: Callable[[], object] = lambda: None,
-    ) -> None:
-        self._answers = list(answers)
-        self._drawn_m = drawn_m
-        self._look = look
-        self.grasps: list[Grasp] = []
-        self.seen: list[Any] = []
-        """What ``look`` has returned at each."""
-
-    def posterior(self, grasp: Grasp) -> Posterior:
-        assert grasp.label == ""
-        self.grasps.append(grasp)
-        self.seen.append(self._look())
-        share, unknown = self._answers.pop(0) if len(self._answers) > 1 else self._answers[0]
-        return Posterior(
-            labels=self.labels,
-            probability=np.array([share, 1.0 - share]),
-            unknown=unknown,
-            drawn_m=self._drawn_m,
-        )
+    return make
 
 
-SURE, UNSURE, STRANGE = (0.9999, 0.001), (0.6, 0.01), (0.9, 0.999)
-"""Answers: the first label, either, and neither."""
+@pytest.fixture
+def tls(tmp_path: Path) -> dict[str, str]:
+    """Options of a service that name a certificate of 127.0.0.1 and its key."""
+    key, certificate = str(tmp_path / "key.pem"), str(tmp_path / "cert.pem")
+    made = subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1",
+         "-nodes", "-days", "2", "-subj", "/CN=cell", "-addext", "subjectAltName=IP:127.0.0.1",
+         "-keyout", key, "-out", certificate],
+        capture_output=True, check=False,
+    )  # fmt: skip
+    if made.returncode:
+        pytest.skip("openssl is not there to make a certificate")
+    return {"serve__tls_certificate": certificate, "serve__tls_key": key}
 
 
-from tests.cell.served import (  # noqa: E402, F401  it takes `small_config` from here
-    make_plugin,
-    plugin,
-    serve,
-    tls,
-)
+@pytest.fixture
+def make_plugin(undo: ExitStack) -> Callable[..., Any]:
+    """Return the maker of plugins on simulated cells: small ones with a model, else quick ones."""
+
+    def make(config: CellConfig | None = None, **options: Any) -> Any:
+        usual = small_config(**BRISK) if options.get("model") else quick_config()
+        plugin = TactileCellPlugin(config or usual, **options)
+        undo.callback(plugin.close, LIMIT_S)
+        return plugin
+
+    return make
+
+
+@pytest.fixture
+def plugin(make_plugin: Any, taught: Any) -> Any:
+    """A plugin that knows ball and box."""
+    return make_plugin(model=taught.result.model)

@@ -1,42 +1,39 @@
 """Services with interfaces, on a stub and a virtual clock, and plugins on simulated cells."""
 
 import socket
-import subprocess
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, closing, contextmanager, nullcontext
-from dataclasses import asdict, dataclass, field, replace
-from itertools import count
-from pathlib import Path
+from contextlib import closing, contextmanager, nullcontext, suppress
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from cell.config.model import CellConfig
-from cell.control.journal import Journal
-from cell.control.lifecycle import CellLifecycle, LatchedFault
-from cell.control.live import LiveValues
+from cell.config.tactile import layout_from_config
+from cell.control.controller import CellController
 from cell.control.part import Part, Verification
 from cell.control.plan import Pose
-from cell.control.states import CellState, Command, command_effect
-from cell.errors import CellStateError, CellStopped, RequestRefused
-from cell.fault_catalogue import error_text, fault_number
+from cell.control.states import CellState, Command, Event
+from cell.hand.interface import LatestValues
 from cell.interfaces.access import ACCEPTED_AT_ONCE
 from cell.interfaces.opening import open_interfaces
-from cell.runtime.goals import TASKS, Goal, GripGoal, IdentifyGoal, TeachGoal, VerifyGoal
-from cell.runtime.parts import OnPart
+from cell.runtime.goals import Goal, GripGoal, IdentifyGoal, TeachGoal, VerifyGoal
 from cell.runtime.plugin import HostStatus, TactileCellPlugin
-from cell.runtime.worker import Job, JobOutcome
+from cell.runtime.tasks import Tasks
+from cell.runtime.worker import Job, Report
 from cell.service.service import Service, open_service
+from gripper.values.force_sensor import ForceSample
 from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN
-from tests.cell.conftest import quick_config, small_config
+from tactile.source import TactileFrame
+from tests.cell.cells import small_config
 from tests.fuzz.harness import Clock
-from tests.values import make_shape
+from tests.values import HAND_STATISTICS, make_cycle, make_shape, make_state
 from tests.waiting import LIMIT_S, until
 
 BRISK = {
@@ -122,63 +119,13 @@ def serving(
     config = small_config(**{"serve__lease_timeout_s": LEASE_S, **ports, **changes})
     clock = Clock()
     if cell is None:
-        service = Service(StubPlugin(config.serve.objects), config, note=note, clock=clock)
+        service = Service(StubPlugin(config), config, note=note, clock=clock)
     else:
         service = open_service(config, clock=clock, **cell)
     with closing(service):
         served = Served(service, clock)
         with open_interfaces(service) if interfaces else nullcontext({}) as served.interfaces:
             yield served
-
-
-@pytest.fixture
-def serve(request: pytest.FixtureRequest, undo: ExitStack) -> Callable[..., Served]:
-    """Return the maker of services; ``interfaces`` opens them.
-
-    Each stands on a stub, or with ``cell``, options of the plugin, on a simulated cell that was
-    taught.
-    """
-
-    def make(*interfaces: str, cell: dict[str, Any] | None = None, **more: Any) -> Served:
-        if cell is not None:
-            cell = {"model": request.getfixturevalue("taught").result.model} | cell
-        return undo.enter_context(serving(*interfaces, cell=cell, **more))
-
-    return make
-
-
-@pytest.fixture
-def tls(tmp_path: Path) -> dict[str, str]:
-    """Options of a service that name a certificate of 127.0.0.1 and its key."""
-    key, certificate = str(tmp_path / "key.pem"), str(tmp_path / "cert.pem")
-    made = subprocess.run(
-        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1",
-         "-nodes", "-days", "2", "-subj", "/CN=cell", "-addext", "subjectAltName=IP:127.0.0.1",
-         "-keyout", key, "-out", certificate],
-        capture_output=True, check=False,
-    )  # fmt: skip
-    if made.returncode:
-        pytest.skip("openssl is not there to make a certificate")
-    return {"serve__tls_certificate": certificate, "serve__tls_key": key}
-
-
-@pytest.fixture
-def make_plugin(undo: ExitStack) -> Callable[..., Any]:
-    """Return the maker of plugins on simulated cells: small ones with a model, else quick ones."""
-
-    def make(config: CellConfig | None = None, **options: Any) -> Any:
-        usual = small_config(**BRISK) if options.get("model") else quick_config()
-        plugin = TactileCellPlugin(config or usual, **options)
-        undo.callback(plugin.close, LIMIT_S)
-        return plugin
-
-    return make
-
-
-@pytest.fixture
-def plugin(make_plugin: Any, taught: Any) -> Any:
-    """A plugin that knows ball and box."""
-    return make_plugin(model=taught.result.model)
 
 
 def done(plugin: Any, goal: Any) -> Any:
@@ -190,40 +137,149 @@ def grip_n(plugin: Any) -> float:
     return min(plugin.cell.simulated.world.contact_force_n())
 
 
-# -- A stub of `TactileCellPlugin`: the table of states, without devices, time and threads ---------
+# -- A stub of the plugin: the product without devices, grasps and a trained model -----------------
 
 
 GRIP_N = 3.25
 """Force of the stub on a part, in N."""
 ROUND = make_shape("sphere", 9.5, half_mm=0.5, dimensions_m={"diameter": 9.5e-3})
 """Shape of each part."""
-FLAT = {"shape": "flat", "size_mm": 2.0}
-"""Shape of an object that is taught."""
 CURVES = {
     "t_s": [0.0, 1.0, 2.0], "force_n": [0.0, 1.0, 7.6], "setpoint_n": [0.0, 1.0, 7.5],
     "opening_mm": [18.0, 9.5, 9.4], "frame": [0.1] * 408,
 }  # fmt: skip
 """Last grasp of each part."""
 GRASP = SimpleNamespace(
-    cycles=(SimpleNamespace(setpoint_n=5.0),), outcome=SimpleNamespace(final_force_n=4.9)
+    cycles=(SimpleNamespace(setpoint_n=5.0),),
+    outcome=SimpleNamespace(final_force_n=4.9, short=""),
 )
 """Record of each grasp."""
 VERIFIED = Verification(held=True, same=True, force_n=GRIP_N, opening_m=9.5e-3)
 """Answer of each grip and verify."""
 
 
-class StubPlugin:
-    """A cell that does as it is asked."""
+class StubTasks(Tasks):
+    """Tasks that move nothing: each grasp ends at once, or when the test lets it."""
 
-    def __init__(self, listed: tuple[str, ...] = ()) -> None:
-        self.listed = listed
-        self.objects: dict[str, dict[str, Any]] = {
-            label: {"n_grasps": 5, "shape": "sphere", "size_mm": 9.5} for label in ("ball", "box")
-        }
-        """The taught objects by label."""
-        self.taught_revision = 0
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.going, self.acting = threading.Event(), threading.Event()
+        self.going.set()
+        self.error: Exception | None = None
+        """What ends the grasp that is let go on."""
         self.finds = ""
         """What the next part is named; as it is presented where it is empty."""
+
+    def act(self, *, keeps: bool = False, event: Event = Event.EXECUTE) -> None:
+        """Have a part in the grip, until a stop or the test, and after it where it is kept."""
+        controller = self.controller
+        with controller.life.executing(event):
+            hold(controller.hand, True)
+            self.acting.set()
+            assert self.going.wait(LIMIT_S)
+            controller.life.check_cancelled()
+            if self.error is not None:
+                raise self.error
+            hold(controller.hand, keeps)
+            if keeps:
+                controller.life.keep(since="grip")
+            else:
+                controller.life.complete()
+
+    def named(self, goal: IdentifyGoal, _on_grasp: Any = None) -> tuple[Any, str]:
+        label, keeps = self.finds or goal.present or "ball", goal.keep != "never"
+        self.act(keeps=keeps)
+        fused = SimpleNamespace(probabilities={UNKNOWN: 0.1, label: 0.9})
+        values = {"label": label, "in_grip": keeps, "fused": fused, "records": [GRASP]}
+        return SimpleNamespace(**values, n_ended_early=0, shape=ROUND, drift=None), ""
+
+    def grip(self, _goal: GripGoal, _report: Report) -> Verification:
+        self.act(keeps=True)
+        return VERIFIED
+
+    def verify(self, _goal: VerifyGoal, _report: Report) -> Verification:
+        self.act(keeps=True, event=Event.VERIFY)
+        return VERIFIED
+
+    def teach(self, goal: TeachGoal, _report: Report) -> None:
+        self.act()
+        new = {"n_grasps": 0, "shape": "flat", "size_mm": 2.0}
+        self.model.taught.setdefault(goal.label, new)["n_grasps"] += goal.grasps
+        self.model.revision += 1
+
+    def gauge(self, _goal: Any, _report: Report) -> None:
+        self.act()
+
+    zero = gauge
+
+
+class StubModel(Mock):
+    """What is taught, as the page lists it; the model allows each task."""
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        return tuple(self.taught)
+
+    def forget(self, label: str, *, last: bool) -> None:
+        self.revision += 1
+        self.taught[label]["n_grasps"] -= 1
+        if not last:
+            del self.taught[label]
+
+
+def hold(hand: Any, held: bool) -> None:
+    """Give a hand the values of a part in its grip, or of open fingers."""
+    hand.phase = GripperPhase.HOLDING if held else GripperPhase.IDLE
+    hand.n_frames += 1
+    counts = np.full(hand.layout.n_taxels, hand.n_frames, dtype=np.uint16)
+    state = make_state(aperture_m=9.5e-3 if held else 0.04)
+    force_n = GRIP_N if held else 0.0
+    hand.latest = LatestValues(
+        cycle=make_cycle(0.0, state=state, setpoint_n=force_n),
+        force=ForceSample(t_s=-0.005, force_n=(force_n, force_n)),
+        frame=TactileFrame(t_s=-0.02, counter=hand.n_frames, status=0, counts=counts),
+    )
+
+
+def stub_cell(config: CellConfig) -> SimpleNamespace:
+    """Return a cell whose hand grasps nothing; its time stands still."""
+    hand = Mock(layout=layout_from_config(config.tactile), period_s=0.005, own_process=False)
+    hand.configure_mock(statistics=HAND_STATISTICS, n_frames=0, notes=())
+    hand.start.return_value.rows = ()
+    hand.shutdown.return_value = ""
+    hand.release.side_effect = lambda *_watch: hold(hand, False)
+    hold(hand, False)
+    controller = CellController(config, hand, Mock(), clock=Clock())
+    controller.zeros, controller.zeroing = Mock(), Mock()
+    controller.moves, controller.kept_part = Mock(), Mock()
+    controller.kept_part.verify.return_value = VERIFIED
+    return SimpleNamespace(
+        controller=controller,
+        realtime=False,
+        simulated=None,
+        idle=controller.life.tick,
+        recording_path=None,
+        recording_fault=None,
+        close=lambda: None,
+    )
+
+
+class StubPlugin(TactileCellPlugin):
+    """The plugin of a cell that does as it is asked."""
+
+    working = True
+
+    def __init__(self, config: CellConfig) -> None:
+        taught = {
+            label: {"n_grasps": 5, "shape": "sphere", "size_mm": 9.5} for label in ("ball", "box")
+        }
+        model = StubModel(config=config, taught=taught, revision=0)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("cell.build.build_cell", lambda *_config, **_options: stub_cell(config))
+            patch.setattr("cell.learning.taught_model.TaughtModel", lambda _config: model)
+            patch.setattr("cell.runtime.tasks.Tasks", StubTasks)
+            super().__init__(config)
+        self.cell.controller.hand.request_stop.side_effect = self._tasks.going.set
         self.newtons = SimpleNamespace(
             of=lambda counts: counts.astype(np.float32), curves=lambda _record: CURVES
         )
@@ -234,223 +290,88 @@ class StubPlugin:
         self.asked: list[Goal | tuple[str, bool]] = []
         """What was accepted: goals, and commands with their ``reboot``."""
         self.remarks: list[tuple[str, str]] = []
-        self._jobs: list[Job] = []
-        self._end: tuple[CellState, bool, Any] = (CellState.IDLE, False, None)
-        self._paused = self._closed = False
-        self._last_answer: Part | None = None
-        self._part_numbers = count(1)
-        self._hand: Any = SimpleNamespace()
-        self._life = CellLifecycle(self._hand, Journal(None), Clock(), 0.6)
-        self.cell = SimpleNamespace(controller=SimpleNamespace(life=self._life))
-        self.recording_path: Path | None = None
-        self.working = True
-        self._show(CellState.IDLE, holding=False)
+        self._shown: dict[str, Any] = {}
 
     # -- what tests do -------------------------------------------------------------------------
 
     def pause(self) -> None:
-        """Have the next job run until `go_on` or `fail`."""
-        self._paused = True
+        """Have the next task run until `go_on` or `fail`."""
+        self._tasks.going.clear()
+        self._tasks.acting.clear()
 
-    def report(self, **progress: Any) -> None:
-        """Have the job that runs report so much more."""
-        self._set(progress=self.job().progress | progress)
+    def go_on(self) -> None:
+        """Let the task that runs succeed."""
+        self._tasks.going.set()
+        self._worker.wait(self.job(), LIMIT_S)
 
-    def report_part(self, part: Part) -> None:
-        """Have the job that runs report a part."""
-        self._set(part=part)
+    def fail(self, error: Exception) -> None:
+        """Have a fault: the task that runs ends with it, and the grip is kept."""
+        if self._worker.running:
+            self._tasks.error = error
+            self.go_on()
+            self._tasks.error = None
+        else:
+            with suppress(type(error)), self.cell.controller.life.latching_faults():
+                raise error
 
     def ready(self) -> None:
         """Be idle with empty fingers, whatever was before; the job that runs is cancelled."""
-        self._life.latched = None
-        self._over(JobOutcome.CANCELED, CellState.IDLE, holding=False)
+        if self._worker.running:
+            self.cancel(self.job())
+        life = self.cell.controller.life
+        life.latched, life.state = None, CellState.IDLE
+        hold(life.hand, False)
 
-    def go_on(self) -> None:
-        """Let the job that runs, if any, succeed."""
-        if (job := self._running) is not None:
-            state, holding, value = self._end
-            if isinstance(value, Part):
-                now = {"job": job.number, "number": next(self._part_numbers), "seconds": 9.4}
-                known = {"label_id": self.label_id(value.label), "time_s": time.time()}
-                value = self._last_answer = value.model_copy(update=now | known)
-                self.on_part(value, SimpleNamespace(records=[GRASP]))
-                self._set(part=value)
-            elif isinstance(value, Verification):
-                self._set(verification=value)
-            if isinstance(self._goal, TeachGoal):
-                taught = self.objects.setdefault(self._goal.label, {"n_grasps": 0, **FLAT})
-                taught["n_grasps"] += self._goal.grasps
-                self.taught_revision += 1
-            self._over(JobOutcome.SUCCEEDED, state, holding=holding, value=value)
-
-    def fail(self, error: Exception) -> None:
-        """Have a fault: the job that runs ends with it, and the grip is kept."""
-        self._life.latched = LatchedFault(error_text(error), fault_number(error), since_s=1.0e9)
-        self._over(JobOutcome.ABORTED, CellState.ABORTED, error=error_text(error), exception=error)
+    def report(self, part: Part | None = None, **progress: Any) -> None:
+        """Have the job that runs report so much more."""
+        job = self.job()
+        self._worker._set(job.number, progress=job.progress | progress, part=part)
 
     def show(self, **values: Any) -> None:
-        """Have these values of `HostStatus` until the next change of state."""
-        self._status = replace(self._status, **values)
+        """Have these values of `HostStatus` from now on."""
+        self._shown |= values
 
-    # -- what the service asks -----------------------------------------------------------------
+    def find(self, part: Part) -> None:
+        """Have a part without grasps."""
+        for listener in self._parts.listeners:
+            listener(part, None)
 
-    def info(self) -> dict[str, Any]:
-        return {"name": "stub", "simulated": True, "n_taxels": 408, "labels": self.labels_by_id}
+    # -- what differs: jobs end before they are returned, unless one is paused -----------------
 
     def status(self) -> HostStatus:
-        return self._status
-
-    def watch_parts(self, on_part: OnPart) -> None:
-        self.on_part = on_part
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        return tuple(self.objects)
-
-    @property
-    def labels_by_id(self) -> tuple[str, ...]:
-        return (*self.listed, *(label for label in self.objects if label not in self.listed))
-
-    def label_id(self, label: str) -> int:
-        labels = self.labels_by_id
-        return labels.index(label) + 1 if label in labels else 0
+        return replace(super().status(), **self._shown)
 
     def taught(self) -> list[dict[str, Any]]:
         return [
-            {"label": label, "label_id": self.label_id(label)} | values
-            for label, values in self.objects.items()
+            {"label": label, "label_id": self._parts.label_id(label)} | values
+            for label, values in self.model.taught.items()
         ]
-
-    def forget(self, label: str, *, last: bool) -> Job:
-        self.taught_revision += 1
-        self.objects[label]["n_grasps"] -= 1
-        if not last:
-            del self.objects[label]
-        return self._accept(("forget", last), Command.GRASP, CellState.EXECUTE, self._end)
-
-    def forget_drift(self) -> Job:
-        state = self._life.state
-        return self._accept(("forget_drift", False), None, state, (state, False, None))
 
     def health(self) -> dict[str, Any]:
         return self.levels
-
-    def check(self, task: str) -> None:
-        goal = task in TASKS
-        command = {"grip": Command.GRIP, "verify": Command.VERIFY}.get(task, Command.GRASP)
-        self._check(command if goal else self._needed(Command(task)))
-
-    def job(self, number: int | None = None) -> Job:
-        if number is None:
-            return self._jobs[-1] if self._jobs else Job()
-        if not 1 <= number <= len(self._jobs):
-            raise RequestRefused(f"there is no job {number}; the newest is {len(self._jobs)}")
-        return self._jobs[number - 1]
-
-    def jobs(self) -> tuple[Job, ...]:
-        return tuple(self._jobs)
-
-    @property
-    def _running(self) -> Job | None:
-        return None if not self._jobs or self._jobs[-1].terminal else self._jobs[-1]
-
-    def _set(self, **fields: Any) -> None:
-        self._jobs[-1] = self._jobs[-1].model_copy(update=fields)
 
     def remark(self, kind: str, text: str) -> None:
         self.remarks.append((kind, text))
 
     def start(self, goal: Goal) -> Job:
-        command, value, keeps = Command.GRASP, None, False
-        if isinstance(goal, IdentifyGoal):
-            label, keeps = self.finds or goal.present or "ball", goal.keep != "never"
-            probabilities = {UNKNOWN: 0.1, label: 0.9}
-            value = Part(
-                label=label, probabilities=probabilities, n_grasps=1, in_grip=keeps, shape=ROUND
-            )
-        elif isinstance(goal, GripGoal | VerifyGoal):
-            command, value, keeps = Command(goal.task), VERIFIED, True
-        end = CellState.COMPLETE if keeps else CellState.IDLE
-        return self._accept(goal, command, CellState.EXECUTE, (end, keeps, value))
+        job = super().start(goal)
+        if not self._tasks.going.is_set():
+            assert self._tasks.acting.wait(LIMIT_S)
+        return self._ended(job, goal)
 
-    def start_command(
-        self, command: Command, *, reboot: bool = False, needless: bool = False
-    ) -> Job:
-        state, holding = self._life.state, self._status.holding
-        needed: Command | None = self._needed(command)
-        path = command_effect(state, needed).path or (state,)
-        if needless and not command_effect(state, needed).accepted:
-            needed = None
-        end = CellState.IDLE if command is Command.RESET else path[-1]
-        keeps = holding and command is not Command.RELEASE
-        return self._accept((command, reboot), needed, path[0], (end, keeps, None))
+    def start_command(self, command: Command, **options: bool) -> Job:
+        job = super().start_command(command, **options)
+        return self._ended(job, (command, options["reboot"]))
 
-    _needed = TactileCellPlugin._needed
+    def forget(self, label: str, *, last: bool) -> Job:
+        return self._ended(super().forget(label, last=last), ("forget", last))
 
-    def _check(self, needed: Command | None) -> None:
-        if self._closed:
-            raise CellStateError("the cell is closed")
-        if self._running is not None:
-            raise CellStateError(f"job {self._running.number} is not over")
-        if needed is not None:
-            self._life.check(needed)
-
-    def cancel(self, job: Job, reason: str) -> None:
-        if (running := self._running) is not None and job.number == running.number:
-            stop = CellStopped(f"stopped {reason}")
-            self._over(JobOutcome.CANCELED, CellState.HELD, error=str(stop), exception=stop)
-
-    def close(self, _timeout_s: float) -> None:
-        self._closed = True
-
-    def _accept(
-        self,
-        asked: Goal | tuple[str, bool],
-        needed: Command | None,
-        acting: CellState,
-        end: tuple[CellState, bool, Any],
-    ) -> Job:
-        self._check(needed)
-        self._goal = asked
-        if isinstance(asked, IdentifyGoal):
-            self._last_answer = None
-        if needed is Command.CLEAR:
-            self._life.latched = None
-        self._end = end
-        task = asked.task if hasattr(asked, "task") else str(asked[0])
-        number = len(self._jobs) + 1
-        self._jobs.append(
-            Job(number=number, task=task, outcome=JobOutcome.EXECUTING, since_s=time.time())
-        )
-        self._show(acting, holding=self._status.holding or acting is CellState.EXECUTE)
-        if not self._paused:
-            self.go_on()
-        self._paused = False
-        # At last: a test in another thread goes on as soon as it is there.
+    def _ended(self, job: Job, asked: Goal | tuple[str, bool]) -> Job:
+        if self._tasks.going.is_set():
+            self._worker.wait(job, LIMIT_S)
         self.asked.append(asked)
-        return self.job(number)
+        return self.feedback(job)
 
-    def _over(
-        self, outcome: JobOutcome, state: CellState, *, holding: bool | None = None, **end: Any
-    ) -> None:
-        self._show(state, holding=self._status.holding if holding is None else holding)
-        if self._running is not None:
-            self._set(outcome=outcome, **end)
-
-    def _show(self, state: CellState, *, holding: bool) -> None:
-        """Set the states in one assignment: interfaces read them in threads of their own."""
-        self._life.state = state
-        self._hand.phase = GripperPhase.HOLDING if holding else GripperPhase.IDLE
-        live = LiveValues(
-            force_n=GRIP_N if holding else 0.0,
-            force_age_s=0.005,
-            setpoint_n=GRIP_N if holding else 0.0,
-            opening_mm=9.5 if holding else 40.0,
-            temperature_c=31.0,
-            counts=np.full(408, len(self._jobs), dtype=np.uint16),
-            frame_age_s=0.02,
-        )
-        if state in (CellState.ABORTED, CellState.STOPPED):
-            live = LiveValues()
-        status = asdict(self._life.status)
-        self._status = HostStatus(**status, live=live, last_answer=self._last_answer)
+    def cancel(self, job: Job, reason: str = "on request") -> None:
+        super().cancel(job, reason)
+        self._worker.wait(job, LIMIT_S)

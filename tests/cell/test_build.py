@@ -32,8 +32,8 @@ from simulator.settings import SimulatorSettings
 from tactile.errors import BusNotOpened, TactileError
 from tactile.sensor.settings import SensorSettings
 from tests import ROOT
+from tests.cell.cells import quick_config, small_config
 from tests.cell.commissioning.test_doctor import REAL
-from tests.cell.conftest import quick_config, small_config
 from tests.faults.campaign import CHANGES, X_AXIS
 from tests.fuzz.harness import Clock
 

@@ -23,7 +23,7 @@ from cell.recording.retention import mark
 from cell.service.history import History
 from gripper.values.outcome import GraspResult
 from tests import ROOT, blocks, commands
-from tests.cell.conftest import small_config
+from tests.cell.cells import small_config
 from tests.marks import LONG
 
 

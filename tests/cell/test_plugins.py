@@ -18,7 +18,7 @@ from gripper.errors import LimitExceeded
 from recognition.recognizers import RECOGNIZERS as BUILT_IN
 from tactile.layout import inner_pads
 from tests import blocks
-from tests.cell.conftest import call
+from tests.cell.cells import call
 
 Install = Callable[..., None]
 MODULE = '''

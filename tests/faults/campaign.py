@@ -36,7 +36,7 @@ from pytest_tactile_cell.process import CellProcess
 from pytest_tactile_cell.virtual import VirtualCell
 from simulator.can.drive import SimulatedDrive
 from tactile.errors import TactileError
-from tests.cell.conftest import COARSE_PADS, Bench, once
+from tests.cell.cells import COARSE_PADS, Bench, once
 from tests.faults.invariants import InvariantMonitor
 from tests.hil.program import CONFIG, SEQUENCE, child_of, ended, first
 from tests.values import raising

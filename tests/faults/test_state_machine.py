@@ -28,7 +28,7 @@ from pytest_tactile_cell.virtual import VirtualCell
 from simulator.errors import SimulatorError
 from simulator.faults.injector import check_fault
 from simulator.faults.vocabulary import VOCABULARY, FaultEntry, Number
-from tests.cell.conftest import COARSE_PADS, once
+from tests.cell.cells import COARSE_PADS, once
 from tests.faults.campaign import PRODUCT_ERRORS, campaign_config
 from tests.faults.invariants import (
     FrameWitness,

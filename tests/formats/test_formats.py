@@ -15,7 +15,7 @@ from cell.commissioning.servos import backup_file, read_backup
 from cell.config.file import load_config
 from cell.control.self_zero import stored_zeros
 from cell.service.history import read_day
-from tests.cell.conftest import call
+from tests.cell.cells import call
 from tests.formats.write import numbers
 
 RELEASES = sorted(one for one in Path(__file__).parent.iterdir() if one.name[0].isdigit())

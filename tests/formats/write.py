@@ -19,9 +19,9 @@ from cell.service.history import History
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from tactile.layout import pinch_layout
+from tests.cell.cells import call, quick_config
 from tests.cell.commissioning.hands import Person, SimulatedLines
 from tests.cell.commissioning.test_servo_bench import SimulatedBench, measured
-from tests.cell.conftest import call, quick_config
 
 
 def numbers() -> dict[str, dict[str, int]]:

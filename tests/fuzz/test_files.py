@@ -15,7 +15,6 @@ import pytest
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-import tests.cell.conftest  # noqa: F401  it and the next one need each other: it has to be first
 from cell.errors import DatasetError, ModelError, RecordingError
 from cell.learning.model import _digest, load_model, save_model
 from cell.learning.training import train

@@ -13,7 +13,8 @@ import pytest
 from cell.config.file import parse_config
 from cell.service.service import RELEASE_KEY
 from pytest_tactile_cell.process import CellProcess
-from tests.cell.conftest import Taught, small_config, taught  # noqa: F401  a fixture
+from tests.cell.cells import small_config
+from tests.cell.conftest import Taught, taught  # noqa: F401  a fixture
 from tests.hil.program import CONFIG, LIMIT_S, PROGRAM, child_of, first
 from tests.hil.supervisor import Supervisor
 from tests.marks import LONG

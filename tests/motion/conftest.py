@@ -20,7 +20,7 @@ from simulator.can.memory_bus import InMemoryCanBus
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream
 from simulator.servo.wrist import SimulatedWrist, WristMount
-from tests.cell.conftest import once
+from tests.cell.cells import once
 
 NODE = 11
 PER_M = 1e6

@@ -18,7 +18,7 @@ from motion.errors import (
     PositionImplausible,
 )
 from simulator.can.drive import SimulatedDrive
-from tests.cell.conftest import once
+from tests.cell.cells import once
 from tests.motion.conftest import BOOT_S, DriveBench, MakeDrive
 
 NEAR_M, NEAR_RAD = 5e-5, math.radians(1.0)

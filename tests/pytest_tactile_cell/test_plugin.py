@@ -26,7 +26,7 @@ from gripper.errors import BusTimeout
 from pytest_tactile_cell.process import CellProcess, CellProcessError
 from tactile.errors import FrameTimeout
 from tests import blocks
-from tests.cell.conftest import COARSE_PADS
+from tests.cell.cells import COARSE_PADS
 from tests.hil.program import gone
 from tests.marks import LONG
 

@@ -33,7 +33,7 @@ from cell.report.page import render_report
 from recognition.drift.spread import day_effects
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand, SelfZero
 from tests.cell.archive.fleet import PADS, SIZES_MM, ramp, record, record_fleet
-from tests.cell.conftest import call
+from tests.cell.cells import call
 from tests.fuzz.harness import Clock, same_grasps
 
 add = partial(ingest, progress=silent)

@@ -22,7 +22,7 @@ from cell.errors import CellError
 from cell.formats import COMMISSIONING, write_json
 from cell.simulation import simulation_of
 from tactile.source import SourceIdentity
-from tests.cell.conftest import once, small_config
+from tests.cell.cells import once, small_config
 from tests.faults.campaign import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 
 REAL = {

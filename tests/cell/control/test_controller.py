@@ -33,7 +33,7 @@ from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.statistics.fusion import DecisionKind
 from tactile.layout import paper_layout
-from tests.cell.conftest import (
+from tests.cell.cells import (
     SURE,
     UNSURE,
     MakeBench,

@@ -19,7 +19,7 @@ from gripper.errors import PartLost
 from gripper.values.state import GripperPhase
 from recognition.recognizer import UNKNOWN
 from tactile.errors import TactileError
-from tests.cell.conftest import STRANGE, SURE, UNSURE, Bench, MakeBench, Scripted, quick_config
+from tests.cell.cells import STRANGE, SURE, UNSURE, Bench, MakeBench, Scripted, quick_config
 
 CARRY_N = 4.0
 """Default of `sequence.carry_force_n`."""

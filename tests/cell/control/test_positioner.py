@@ -23,7 +23,7 @@ from cell.control.positioner import (
 from cell.control.states import CellState
 from cell.errors import CellStateError, PositionerError, PositionerFault
 from gripper.values.state import GripperPhase
-from tests.cell.conftest import MakeBench, once, quick_config
+from tests.cell.cells import MakeBench, once, quick_config
 from tests.faults.campaign import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 from tests.values import raising
 

@@ -30,7 +30,7 @@ from gripper.dynamixel.models import MODELS
 from gripper.errors import MechanicsContradicted, PartBetweenFingers
 from gripper.values.outcome import GraspResult
 from recognition.grasp import SelfZero
-from tests.cell.conftest import REAL, call, quick_config, small_config
+from tests.cell.cells import REAL, call, quick_config, small_config
 from tests.marks import LONG
 
 PULSE_MM = 60.0 * 2.0 * math.pi / 4096.0

@@ -30,7 +30,7 @@ from gripper.errors import BusTimeout, ServoFault
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from tactile.errors import BusOff
-from tests.cell.conftest import MakeBench, once
+from tests.cell.cells import MakeBench, once
 from tests.fuzz.harness import Clock
 from tests.values import command_of, raising
 

@@ -37,7 +37,7 @@ from cell.report.confusion import score
 from cell.runtime.main_job import teach_and_identify
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckTrainer
-from tests.cell.conftest import call, once, plain_grasp, quick_config
+from tests.cell.cells import call, once, plain_grasp, quick_config
 from tests.fuzz.harness import Clock
 from tests.marks import LONG
 from tests.values import raising

@@ -34,7 +34,7 @@ from cell.interfaces.xml_rpc import METHODS, ur_pose
 from cell.service.service import RELEASE_KEY
 from gripper.errors import ServoFault
 from recognition.recognizer import UNKNOWN
-from tests.cell.conftest import small_config
+from tests.cell.cells import small_config
 from tests.cell.interfaces.hosts import HOSTS, NOT_IN_COMMAND, Client, Host, Plc, Request
 from tests.cell.served import ROUND, Served, pause
 from tests.waiting import LIMIT_S, until
@@ -188,20 +188,20 @@ def test_a_silent_host_loses_the_lease_and_nothing_resumes(connect: Connect) -> 
 def test_a_fault_is_a_number_until_it_is_cleared(connect: Connect) -> None:
     served, host = connect()
     assert host.acquire() == 0
-    served.plugin.pause()
-    assert host.send(GRIP, 1) == 1
     served.plugin.show(recording_fault="No space left on device")
     check_values(host, recording=True)
-    for number, reboot in ((2, False), (3, True)):
+    for number, reboot in ((1, False), (3, True)):
+        served.plugin.pause()
+        assert host.send(GRIP, number) == number
         served.plugin.fail(ServoFault(1, "overload", bits=0x20))
         check_values(host, state=ABORTED, fault=109, needs_reset=False, holding=True, force_n=None)
-        if number == 2:
-            check_values(host, outcome=FAILED, job_fault=109)
-        assert host.send(IDENTIFY, number) == -NOT_ALLOWED
-        assert host.send(Request(task="clear", reboot=reboot), number) == number
+        check_values(host, outcome=FAILED, job_fault=109)
+        assert host.send(IDENTIFY, number + 1) == -NOT_ALLOWED
+        assert host.send(Request(task="clear", reboot=reboot), number + 1) == number + 1
         assert served.plugin.asked[-1] == (Command.CLEAR, reboot)
         check_values(host, fault=0, needs_reset=True)
-    assert served.grip_n > 1.0
+        assert served.grip_n > 1.0
+        served.plugin.ready()
 
 
 def test_poses_are_reached_or_refused(connect: Connect) -> None:
@@ -227,11 +227,11 @@ def test_each_part_reaches_plc_robot_and_program_once(serve) -> None:
     host = Client(served.interfaces)
     sent: list[dict[str, Any]] = []
     with cell, host.live("&parts_after=0") as link, closing(plc.link):
-        for number, label in enumerate(("ball", UNKNOWN), start=1):
-            probability, label_id = 0.9 - 0.01 * number, served.plugin.label_id(label)
+        for number, label, label_id in ((1, "ball", 1), (2, UNKNOWN, 0)):
+            probability = 0.9 - 0.01 * number
             named = {"label": label, "label_id": label_id, "place": "tray", "place_id": 2 + number}
             known = {"probabilities": {label: probability}, "shape": ROUND}
-            served.plugin.on_part(Part(number=number, task="sort", **known, **named), None)
+            served.plugin.find(Part(number=number, task="sort", **known, **named))
             while len(sent) < number:
                 message = json.loads(link.recv(LIMIT_S))
                 if message.get("event") == "part":

@@ -50,7 +50,7 @@ from gripper.errors import GripperError
 from recognition.recognizer import UNKNOWN
 from tactile.errors import HeartbeatLost
 from tests import ROOT, blocks, commands
-from tests.cell.conftest import REAL, MakeBench, call, once, small_config
+from tests.cell.cells import REAL, MakeBench, call, once, small_config
 from tests.cell.interfaces.hosts import Client
 from tests.cell.served import GRASP, Served
 from tests.faults.campaign import CHANGES, ROTATION_AXIS, WRIST, X_AXIS

@@ -24,7 +24,7 @@ from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands.commission import TerminalDialog
 from cell.interfaces.cli.session import running_cell
 from cell.interfaces.cli.signals import stopping
-from tests.cell.conftest import REAL, small_config
+from tests.cell.cells import REAL, small_config
 from tests.waiting import LIMIT_S
 
 CHOICES = {"a": "the first\n  | |", "b": "the second [x]"}

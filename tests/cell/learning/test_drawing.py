@@ -24,7 +24,7 @@ from recognition.recognizer import UNKNOWN
 from recognition.shape.answer import UNCLEAR
 from recognition.shape.foam import PadBed
 from simulator.world.taxels import ideal_counts
-from tests.cell.conftest import call
+from tests.cell.cells import call
 from tests.values import make_shape
 
 BALL = "sphere:diameter=9.5mm"

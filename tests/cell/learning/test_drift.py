@@ -28,7 +28,7 @@ from recognition.errors import ContactError
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior
 from recognition.statistics.fusion import Decision, DecisionKind, StopRule
-from tests.cell.conftest import REAL, UNSURE, Scripted, plain_grasp, small_config
+from tests.cell.cells import REAL, UNSURE, Scripted, plain_grasp, small_config
 from tests.cell.served import done
 from tests.fuzz.harness import Clock
 from tests.values import raising

@@ -20,7 +20,7 @@ from recognition.evaluation.splits import a_day_later
 from recognition.grasp import DRAWING_SOURCE, Grasp
 from recognition.recognizer import Posterior
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
-from tests.cell.conftest import plain_grasp
+from tests.cell.cells import plain_grasp
 from tests.recognition.conftest import OBJECTS, make_grasps
 from tests.values import make_pads
 

@@ -17,7 +17,7 @@ from cell.runtime.goals import IdentifyGoal
 from cell.runtime.tasks import ModelFile, Tasks
 from recognition.evaluation.evaluation import Evaluation, evaluate
 from recognition.recognizers import make_trainer
-from tests.cell.conftest import SURE, Scripted
+from tests.cell.cells import SURE, Scripted
 from tests.recognition.conftest import make_grasps
 from tests.values import make_pads
 

@@ -35,7 +35,7 @@ from gripper.errors import ServoFault, VerificationFailed
 from recognition.recognizer import UNKNOWN
 from tactile.errors import NodeMissing, ZeroDrifted
 from tests import blocks
-from tests.cell.conftest import STRANGE, SURE, Scripted, once, quick_config, small_config
+from tests.cell.cells import STRANGE, SURE, Scripted, once, quick_config, small_config
 from tests.cell.served import LIMIT_S, done, grip_n, until
 
 

@@ -34,7 +34,7 @@ from recognition.drift.drift import Drift
 from recognition.grasp import DRAWING_SOURCE
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.recognizers import make_trainer
-from tests.cell.conftest import call, plain_grasp, small_config
+from tests.cell.cells import call, plain_grasp, small_config
 
 # -- evaluate ------------------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ import pytest
 from cell.learning.progress import silent
 from cell.runtime.main_job import teach_and_identify
 from cell.runtime.plugin import TactileCellPlugin
-from tests.cell.conftest import small_config
+from tests.cell.cells import small_config
 
 TSHARK = shutil.which("tshark")
 MESSAGES_A_FRAME = 59

@@ -25,7 +25,7 @@ from cell.service.service import RELEASE_KEY
 from cell.service.shift import MOST_ANSWERS, Shift, began_s
 from gripper.values.state import GripperPhase
 from tactile.errors import FrameTimeout
-from tests.cell.conftest import once, small_config
+from tests.cell.cells import once, small_config
 from tests.cell.interfaces.hosts import Client
 from tests.cell.served import LEASE_S, until
 

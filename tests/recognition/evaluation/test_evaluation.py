@@ -21,7 +21,7 @@ from recognition.evaluation.splits import (
 )
 from recognition.grasp import by_label, series_of
 from recognition.recognizers import make_trainer
-from tests.cell.conftest import plain_grasp
+from tests.cell.cells import plain_grasp
 
 
 def test_chronological_split_teaches_with_the_earlier_part(train):

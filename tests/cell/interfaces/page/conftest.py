@@ -57,7 +57,7 @@ class FakeCell:
         self.served = served
         self.plugin: Any = served.plugin
         self.plugin.info = lambda: self.info
-        self.plugin.objects = {
+        self.plugin.model.taught = {
             label: {"n_grasps": 20, "shape": shape, "size_mm": 6.4}
             for label, shape in (("bolt", "cylinder"), ("nut", "flat"), ("pin", "cylinder"))
         }
@@ -122,13 +122,13 @@ class FakeCell:
     def sorting(self) -> None:
         """A sort, the fourteenth part."""
         self._begin({"task": "sort", "parts": 40}, SORTING)
-        self.plugin.report_part(Part(label="nut", place="tray A"))
+        self.plugin.report(Part(label="nut", place="tray A"))
 
     def _name(self, label: str, **fields: Any) -> None:
         self.plugin.ready()
-        self.plugin.finds = label
+        self.plugin._tasks.finds = label
         self._start({"task": "identify", "present": "nut"} | fields)
-        self.plugin.finds = ""
+        self.plugin._tasks.finds = ""
 
     def _begin(self, goal: dict[str, Any], progress: dict[str, Any]) -> None:
         self.plugin.ready()

@@ -118,14 +118,14 @@ def test_a_narrow_page_shows_hold_and_the_answer_first(open_page, cell) -> None:
 
 
 def test_another_shape_is_remarked_only_with_another_size(open_page, cell) -> None:
-    for taught in cell.plugin.objects.values():
+    for taught in cell.plugin.model.taught.values():
         taught |= {"shape": "oval", "size_mm": 9.6}
     cell.named()
     page = open_page()
     becomes(page, "#held_size", r"^an oval of 9\.5 mm\s9\.0 to 10\.0 mm$")
-    for taught in cell.plugin.objects.values():
+    for taught in cell.plugin.model.taught.values():
         taught["size_mm"] = 6.4
-    cell.plugin.taught_revision += 1
+    cell.plugin.model.revision += 1
     becomes(page, "#held_size", "The pads measure a sphere of 9.5 mm: name and shape do not match")
     assert page.locator("#held_shape ellipse.part").count() == 1
 
@@ -190,7 +190,7 @@ def test_a_name_is_text_wherever_it_stands(open_page, cell) -> None:
         "commander": EVIL,
     }
     cell.info |= {"name": EVIL, "places": [EVIL, "rejects"]}
-    cell.plugin.objects = {EVIL: {"n_grasps": 3, "shape": EVIL, "size_mm": 3.0}}
+    cell.plugin.model.taught = {EVIL: {"n_grasps": 3, "shape": EVIL, "size_mm": 3.0}}
     page = open_page()
     becomes(page, "#held_name", re.escape(EVIL))
     click(page, "#strip button >> nth=-1", "#grasp_title", re.escape(EVIL))
