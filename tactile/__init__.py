@@ -1,9 +1,9 @@
 """The tactile sensor: taxels, CAN transport, node supervision, force; no servos, no objects.
 
 `open_sensor` opens the control unit's bus; a program that measures needs only the names below.
-Sub-packages are `sensor` (counts to newtons, tare), `control_unit` (the CANopen node), `flexitac`
-and `uskin` (boards on serial ports), `frames` (complete frames and force messages) and `can` (the
-bus). Modules are `layout`, `source`, `board_source`, `clock` and `errors`.
+Sub-packages are `sensor` (counts to newtons, tare), `control_unit` (the CANopen node), `uskin`
+(boards on CAN) and `can` (the bus). Modules are `layout`, `source`, `frames` (messages of the
+control unit), `flexitac` (boards on serial ports), `board_source`, `clock` and `errors`.
 """
 
 import lazy_loader

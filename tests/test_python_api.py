@@ -90,11 +90,7 @@ def loaded(modules: str) -> set[str]:
             ),
         ),
         ("gripper, gripper.dynamixel.control_table, gripper.force.ramp", SERVOS),
-        (
-            "tactile.layout, tactile.frames.transport, tactile.frames.force_message, "
-            "tactile.sensor.sensor",
-            ("can",),
-        ),
+        ("tactile.layout, tactile.frames, tactile.sensor.sensor", ("can",)),
     ],
 )
 def test_an_import_loads_nothing_of_what_only_a_later_use_needs(modules, later) -> None:

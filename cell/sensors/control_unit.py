@@ -14,7 +14,7 @@ from cell.config.tactile import (
     make_calibration,
 )
 from tactile.control_unit.settings import WINDOW_SHARE, bus_load, least_sync_period_s
-from tactile.frames.transport import FrameFormat
+from tactile.frames import FrameFormat
 from tactile.layout import TaxelLayout
 from tactile.source import FrameSource
 
@@ -61,7 +61,7 @@ class ControlUnitConfig(SensorConfig):
     def open_source(self, tactile: TactileConfig, lines: SensorLines) -> FrameSource:
         """Return the link to the unit; raises BusNotOpened where there is no bus."""
         from tactile.control_unit.node import TactileLink
-        from tactile.frames.force_message import force_table
+        from tactile.frames import force_table
 
         layout = layout_from_config(tactile)
         return TactileLink(

@@ -6,8 +6,7 @@ from cell.config.section import SIMULATED
 from cell.config.sensor import RestLimits, SensorConfig, SensorLines
 from cell.config.tactile import TactileConfig
 from gripper.errors import PortLost
-from tactile.flexitac.source import FlexiTacSource, check_layout
-from tactile.flexitac.stream import BAUD_RATE, PERIOD_S, PROFILES
+from tactile.flexitac import BAUD_RATE, PERIOD_S, PROFILES, FlexiTacSource, check_layout
 from tactile.layout import TaxelLayout
 from tactile.source import FrameSource
 

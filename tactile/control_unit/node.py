@@ -25,8 +25,7 @@ from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.settings import LinkSettings, NodeIdentity
 from tactile.control_unit.setup import refuse_mismatch, refuse_other_unit, set_up, set_up_forces
 from tactile.control_unit.watch import OPERATIONAL, ForceFlow, FrameFlow, NodeWatch
-from tactile.frames.force_message import encode_zero
-from tactile.frames.transport import FrameAssembler, FrameFormat
+from tactile.frames import FrameAssembler, FrameFormat, encode_zero
 from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.source import (
     Arrivals,

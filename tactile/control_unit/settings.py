@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from math import inf
 from typing import Any
 
-from tactile.frames.transport import MESSAGE_BYTES, FrameFormat
+from tactile.frames import MESSAGE_BYTES, FrameFormat
 from tactile.layout import PadMount, TaxelLayout
 from tactile.source import SourceIdentity
 

@@ -6,7 +6,7 @@ from tactile.can.sdo_client import PolledSdoClient
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.settings import LinkSettings, NodeIdentity
 from tactile.errors import IdentityMismatch
-from tactile.frames.transport import FrameFormat
+from tactile.frames import FrameFormat
 from tactile.layout import TaxelLayout
 
 _COB_ID_MASK = 0xFFFF_FFFF & ~(1 << 30)
@@ -146,7 +146,7 @@ def set_up_forces(
     Parameters
     ----------
     table
-        Object 0x2141, see `tactile.frames.force_message.force_table`.
+        Object 0x2141, see `tactile.frames.force_table`.
     """
     objects[od.FORCE_TABLE].raw = table
     numbers = {

@@ -15,7 +15,7 @@ from tactile import errors
 from tactile.can.bus import ACTIVE, CLASS_CONTROLLER, PASSIVE
 from tactile.control_unit.settings import LinkSettings
 from tactile.errors import FrameError
-from tactile.frames.force_message import COUNTERS, decode_force_message
+from tactile.frames import COUNTERS, decode_force_message
 from tactile.source import ForceMessage, ForceStatistics, ForceStatus, SourceStatistics
 
 BOOT_UP = 0

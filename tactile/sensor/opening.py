@@ -7,7 +7,7 @@ from tactile.can.bus import CanBus, close_bus, open_bus
 from tactile.clock import Clock
 from tactile.control_unit.node import TactileLink
 from tactile.control_unit.settings import LinkSettings
-from tactile.frames.force_message import force_table
+from tactile.frames import force_table
 from tactile.layout import TaxelLayout, paper_layout
 from tactile.sensor.calibration import Calibration, FoamCalibration
 from tactile.sensor.sensor import TactileSensor

@@ -28,7 +28,7 @@ from simulator.can.messages import BurstFormat
 from simulator.clock import VirtualClock
 from simulator.servo.protocol2 import Instruction, crc16, encode_status
 from tactile.can.bus import BulkSlcanBus
-from tactile.frames.transport import FrameAssembler, FrameFormat
+from tactile.frames import FrameAssembler, FrameFormat
 from tactile.layout import paper_layout
 from tactile.source import TactileFrame
 from tests.fuzz.harness import bad_input, damages, disturbed, pieces, spoilt

@@ -35,7 +35,7 @@ from cell.sensors.flexitac import FlexiTacConfig
 from cell.simulation import simulation_of
 from gripper.mechanics.kinematics import end_transmissions
 from gripper.settings import GripperSettings
-from tactile.flexitac.stream import PROFILES
+from tactile.flexitac import PROFILES
 from tactile.layout import LAYOUTS
 from tests.faults.campaign import (
     CHANGES,

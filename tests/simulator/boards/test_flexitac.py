@@ -17,7 +17,7 @@ from simulator.cell import SimulatedCell
 from simulator.clock import VirtualClock
 from simulator.realtime.terminals import BoardPty
 from simulator.settings import SimulatorSettings
-from tactile.flexitac.stream import PROFILES, FrameStream
+from tactile.flexitac import PROFILES, FrameStream
 from tactile.layout import LAYOUTS
 
 LAYOUT = LAYOUTS["flexitac_12x32"]()

@@ -13,8 +13,13 @@ from simulator.can.faults import ControlUnitFaults
 from simulator.can.messages import BurstFormat
 from simulator.can.scanner import PadForces
 from tactile.control_unit import object_dictionary as od
-from tactile.frames.force_message import decode_force_message, encode_zero, force_table
-from tactile.frames.transport import FrameAssembler, FrameFormat
+from tactile.frames import (
+    FrameAssembler,
+    FrameFormat,
+    decode_force_message,
+    encode_zero,
+    force_table,
+)
 from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 from tactile.sensor.calibration import Calibration, FoamCalibration, LinearCalibration
 from tactile.source import ForceMessage, ForceStatus, FrameStatus, TactileFrame

@@ -15,7 +15,7 @@ from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import Mounting
 from tactile.control_unit.settings import LinkSettings
 from tactile.errors import BusDisturbed, FrameTimeout, IdentityMismatch, LayoutError, LinkFault
-from tactile.frames.force_message import encode_zero, force_table
+from tactile.frames import encode_zero, force_table
 from tactile.layout import PadMount, paper_layout, pinch_layout, taxel_order
 from tactile.sensor.calibration import FoamCalibration
 from tactile.sensor.opening import open_sensor

@@ -35,7 +35,7 @@ from tactile.errors import (
     NodeStateChanged,
     ObjectRefused,
 )
-from tactile.frames.transport import FrameFormat
+from tactile.frames import FrameFormat
 from tactile.layout import paper_layout
 from tactile.source import SourceStatistics
 

@@ -9,8 +9,7 @@ from simulator.can.messages import BurstFormat, force_bytes
 from tactile.control_unit.settings import LinkSettings
 from tactile.control_unit.watch import ForceFlow
 from tactile.errors import FrameError, LayoutError
-from tactile.frames.force_message import crc8, decode_force_message
-from tactile.frames.transport import PHASE_SHIFT, FrameAssembler, FrameFormat
+from tactile.frames import PHASE_SHIFT, FrameAssembler, FrameFormat, crc8, decode_force_message
 from tactile.source import ForceMessage, ForceStatistics, ForceStatus, TactileFrame
 
 PAPER = FrameFormat(n_taxels=408, sample_bytes=1)

@@ -11,8 +11,7 @@ from simulator.boards.flexitac import FlexiTacSettings
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from tactile.errors import FrameTimeout, LayoutError, LinkFault
-from tactile.flexitac.source import FlexiTacSource
-from tactile.flexitac.stream import HEADER, PROFILES, FrameStream
+from tactile.flexitac import HEADER, PROFILES, FlexiTacSource, FrameStream
 from tactile.layout import LAYOUTS, TaxelLayout
 from tactile.source import FrameStatus
 from tests.tactile.conftest import run
