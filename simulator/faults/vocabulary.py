@@ -195,8 +195,14 @@ def _lose_next(fault: Fault) -> None:
     fault.owner.drop_next += int(fault.value)
 
 
-def _jump(fault: Fault) -> None:
-    fault.owner.plant.encoder_offset_rad += fault.value
+def _jump(fault: Fault) -> Undo:
+    plant = fault.owner.plant
+
+    def turn(by_rad: float) -> None:
+        plant.encoder_offset_rad += by_rad
+
+    turn(fault.value)
+    return partial(turn, -fault.value)
 
 
 def _check_identity(fault: Fault) -> None:
@@ -281,9 +287,12 @@ def _turn_round(fault: Fault) -> Undo:
     return lambda: mechanics.remount(fault.index, turned=True)
 
 
-def _factory(fault: Fault) -> None:
+def _factory(fault: Fault) -> Undo:
+    table = fault.owner.registers.data
+    before = table[:EEPROM_END]
     fault.owner.registers.load_factory()
     fault.owner.boot(fault.now_s + _BOOT_APART_S * fault.index)
+    return partial(table.__setitem__, slice(EEPROM_END), before)
 
 
 def _check_register(fault: Fault) -> None:
@@ -383,7 +392,7 @@ _FAULTS = (
                happens=lambda fault: fault.owner.boot(fault.now_s)),
     FaultEntry("servoN.factory",
                "it has its factory settings: ID 1, 57600 bit/s, position mode, return delay of "
-               "500 us; two of these servos answer at the same time", happens=_factory),
+               "500 us; two of these servos answer at the same time", effect=_factory),
     FaultEntry("servoN.overload", "its overload protection latches and switches the torque off",
                happens=lambda fault: fault.owner.plant.overload()),
     FaultEntry("servoN.overheat", "its internal temperature has this value, and falls slowly",
@@ -395,7 +404,7 @@ _FAULTS = (
     FaultEntry("servoN.stuck", "its encoder always reports the same angle", "plant.stuck_at_rad",
                position=lambda fault: fault.owner.plant.angle_rad),
     FaultEntry("servoN.jump", "the angle of its encoder suddenly grows by this value",
-               value=Number("rad", -6.3, 6.3, default=0.5), happens=_jump),
+               value=Number("rad", -6.3, 6.3, default=0.5), effect=_jump),
     FaultEntry("servoN.turn",
                "its reported position is off by this number of turns; it still follows its goals",
                _REPORT, Number("turns", -10, 10, default=1, whole=True),

@@ -421,8 +421,6 @@ class Driver:
                 self.monitor.pushed()
             self._remounted = False
             self.simulated.injector.clear_all()
-            for motor in self.simulated.devices.mechanics.motors:
-                motor.encoder_offset_rad, motor.temperature_c = 0.0, 25.0
 
     def place(self, label: str) -> None:
         """Bring another object, where the fingers let it."""

@@ -113,7 +113,7 @@ def test_a_refused_teaching_gives_no_part_a_name(make_plugin: Any) -> None:
 
 def test_a_reset_of_the_simulation_ends_a_fault_and_leaves_nothing_in_the_grip(make_plugin) -> None:
     plugin = make_plugin()
-    for fault in (None, "servo1.off", "can.unplugged"):
+    for fault in (None, "servo1.off", "can.unplugged", "servo1.jump", "servo2.factory"):
         assert done(plugin, GripGoal(force_n=3.0, present="ball")).held
         if fault is not None:
             plugin.simulate({"inject": fault})

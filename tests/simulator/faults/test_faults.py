@@ -14,6 +14,7 @@ from simulator.cell import SimulatedCell
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from simulator.faults.injector import check_fault
 from simulator.faults.vocabulary import VOCABULARY
+from simulator.servo.control_table import EEPROM_END
 from simulator.servo.wrist import WristMount
 from simulator.settings import SimulatorSettings
 from tactile.layout import pinch_layout
@@ -137,7 +138,8 @@ def _knobs(cell: SimulatedCell) -> Any:
             servo.watchdog_stop,
             servo.injected_error,
             servo.reported_offset_raw,
-            servo.registers.get("current_limit"),
+            servo.registers.data[:EEPROM_END],
+            servo.plant.encoder_offset_rad,
             round(servo.plant.temperature_c, 3),
             servo.plant.voltage_v,
         )
