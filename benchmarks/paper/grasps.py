@@ -6,11 +6,12 @@ left out.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
+from scipy.optimize.elementwise import find_root
 
 from recognition.grasp import Grasp, PadArray
 from simulator.world.foam import Foam
@@ -31,8 +32,8 @@ REST_FRAMES = 10
 
 _STEP_N, _PERIOD_S, _HOLD_FRAMES = 0.1, 0.02, 15
 """Growth of the force in a frame, which is 5 N/s at 50 frames a second."""
-_KNOTS, _COARSE, _HALVED = 12, 65, 12
-"""Forces at which the contact is solved; depths that are tried first, and halvings between two."""
+_KNOTS = 12
+"""Forces at which the contact is solved."""
 _APERTURE_SD_M = 0.2e-3
 
 _LAYOUT = paper_layout()
@@ -79,39 +80,23 @@ def press(label: str, pose: ObjectPose, full_n: float) -> Touch:
         x_m, y_m = np.broadcast_arrays(grid.x_m, grid.y_m)
         heights_m = posed_heights(PAPER_OBJECTS[label], pose, x_m, y_m)[side]
         lag_m = heights_m.max() - heights_m
-        rows, columns = (_span(lag_m < _FOAM.thickness_m, axis) for axis in (0, 1))
-        lag_m = lag_m[rows, columns]
-        depth_m = _depths_m(lag_m, force_n, grid.cell_area_m2)
-        shares = grid.shares((rows, columns))
+        depth_m = _depths_m(lag_m[lag_m < _FOAM.thickness_m], force_n, grid.cell_area_m2)
         pressures_pa = (_FOAM.pressure_pa(one_m - lag_m) for one_m in depth_m)
+        shares = grid.shares((slice(None), slice(None)))
         taxels.append(np.array([grid.taxel_force_n(one, shares) for one in pressures_pa]))
         aperture_m = aperture_m + heights_m.max() - depth_m
     return Touch(label, force_n, np.concatenate(taxels, axis=1), aperture_m)
 
 
-def _span(touched: NDArray[np.bool_], axis: int) -> slice:
-    at = np.nonzero(touched)[axis]
-    return slice(int(at.min()), int(at.max()) + 1)
-
-
 def _depths_m(
     lag_m: NDArray[np.float64], force_n: NDArray[np.float64], cell_area_m2: float
 ) -> NDArray[np.float64]:
-    """Return how deep the highest point is for each force, (K,), by bisection."""
-    flat = lag_m[lag_m < _FOAM.thickness_m]
+    """Return how deep the highest point is for each force, (K,)."""
 
-    def together_n(depth_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        return _FOAM.pressure_pa(depth_m[:, None] - flat).sum(axis=1) * cell_area_m2
+    def excess_n(depth_m: NDArray[np.float64], wanted_n: NDArray[np.float64]) -> NDArray[Any]:
+        return _FOAM.pressure_pa(depth_m[:, None] - lag_m).sum(axis=1) * cell_area_m2 - wanted_n
 
-    depth_m = np.linspace(0.0, _FOAM.thickness_m, _COARSE)
-    place = np.searchsorted(together_n(depth_m), force_n, side="right") - 1
-    place = np.clip(place, 0, _COARSE - 2)
-    low, high = depth_m[place], depth_m[place + 1]
-    for _ in range(_HALVED):
-        middle = 0.5 * (low + high)
-        less = together_n(middle) < force_n
-        low, high = np.where(less, middle, low), np.where(less, high, middle)
-    return np.where(force_n > 0.0, 0.5 * (low + high), 0.0)
+    return np.asarray(find_root(excess_n, (0.0, _FOAM.thickness_m), args=(force_n,)).x)
 
 
 def record(

@@ -41,18 +41,16 @@ def cell_grasps(
     n_grasps: int,
     *,
     seed: int,
-    changes: Mapping[str, Any] | None = None,
     **differs: Any,
 ) -> list[Grasp]:
-    """Have a simulated cell grasp each object (label -> shape) ``n_grasps`` times.
+    """Have a simulated cell measure its zero and grasp each object (label -> shape) some times.
 
-    It is in virtual time, through servos, buses and force loop. ``changes`` of the built-in config
-    come by key. Fields of the simulator's settings in which it differs from its config may be
-    given.
+    It is in virtual time, through servos, buses and force loop. Fields of the simulator's settings
+    in which it differs from its config may be given.
     """
     entries = [{"label": label, "shape": text} for label, text in objects.items()]
-    usual = {"simulator.objects": entries, "seed": seed, "self_zero": "never"}
-    config = changed_config(CellConfig(), usual | dict(changes or {}))
+    changes = {"simulator.objects": entries, "seed": seed, "self_zero": "always"}
+    config = changed_config(CellConfig(), changes)
 
     def settings(config: CellConfig, **others):
         return replace(simulator_settings(config, **others), **differs)

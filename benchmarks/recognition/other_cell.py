@@ -1,4 +1,4 @@
-"""Taught on one simulated cell, used on another of the same layout, and with ramps of other rates.
+"""Taught on one simulated cell, used on another of the same layout.
 
 The other cell has another foam and less sensitive, misaligned pads. Its opening is 1.8 mm off, and
 each finger has its own gain and foam. Grasps use servos, buses and force loop. Both cells measure
@@ -9,9 +9,6 @@ there, too.
 Further cells are drawn at random: foam, gains and tilt of the pads, mounts of the servos. Each
 measures its own zero once. The first cell is taught ten times for them: their intervals are those
 of a bootstrap of the teachings, which differ more than the grasps.
-
-The cell that taught also names grasps of slower and faster ramps. Another one is taught with slow
-ramps and names fast ones.
 """
 
 import math
@@ -77,19 +74,15 @@ DRAWN = range(100, 120)
 """Seeds of cells drawn at random, which chose nothing."""
 TEACHINGS = range(80, 89)
 """Seeds of further teachings of the same objects."""
-RATES_N_S = {5.0: 0.3, 20.0: 0.1, 40.0: 0.05}
-"""Rates of the ramps in N/s, and how long each is held in s."""
-_ZEROED = {"self_zero": "always"}
-zeroed_grasps = partial(cell_grasps, changes=_ZEROED)
 
 
 def main(effort: float = 1.0) -> None:
     n = repeats(20, effort, least=4)
     taught_objects = dict(list(TAUGHT.items())[: repeats(len(TAUGHT), effort, least=2)])
     new_objects = dict(list(NEVER_TAUGHT.items())[: repeats(len(NEVER_TAUGHT), effort)])
-    taught = ForceRampTrainer().fit(zeroed_grasps(taught_objects, n, seed=51))
-    same = zeroed_grasps(taught_objects, n, seed=52)
-    elsewhere = zeroed_grasps(taught_objects | new_objects, n, seed=53, **OTHER)
+    taught = ForceRampTrainer().fit(cell_grasps(taught_objects, n, seed=51))
+    same = cell_grasps(taught_objects, n, seed=52)
+    elsewhere = cell_grasps(taught_objects | new_objects, n, seed=53, **OTHER)
     zeroed, later = ([a_day_later(grasp) for grasp in grasps] for grasps in (elsewhere, same))
     untold, bare = ([replace(grasp, zero=None) for grasp in grasps] for grasps in (zeroed, later))
     test, new = ([g for g in untold if (g.label in TAUGHT) is known] for known in (True, False))
@@ -117,7 +110,6 @@ def main(effort: float = 1.0) -> None:
         line(f"  gauged by {label}", figures(answers))
     line("  gauged, all together", figures(every, groups))
     drawn_cells(taught, taught_objects, new_objects, n, effort)
-    rates(taught_objects, n)
 
 
 def drawn_cells(
@@ -159,13 +151,13 @@ def drawn_cells(
 
 def _teaching(objects: Mapping[str, str], n_grasps: int, seed: int) -> ForceRampRecognizer:
     """Return a recognizer taught on the first cell."""
-    return ForceRampTrainer().fit(zeroed_grasps(objects, n_grasps, seed=seed))
+    return ForceRampTrainer().fit(cell_grasps(objects, n_grasps, seed=seed))
 
 
 def _drawn_grasps(objects: Mapping[str, str], n_grasps: int, seed: int) -> list[Grasp] | str:
     """Return the grasps of a drawn cell, or the error that ended them."""
     try:
-        return zeroed_grasps(objects, n_grasps, seed=200 + seed, **drawn_cell(seed))
+        return cell_grasps(objects, n_grasps, seed=200 + seed, **drawn_cell(seed))
     except (CellError, GripperError, TactileError) as error:
         return f"{type(error).__name__}: {error}"
 
@@ -183,18 +175,3 @@ def drawn_cell(seed: int) -> dict[str, Any]:
     gains = tuple(np.exp(rng.uniform(np.log(0.8), np.log(1.25), 2)).tolist())
     pads = PadPair(tilt_rad=tilt_rad, gains=gains)
     return {"foam": foam, "pads": pads, "servos": servos(*mounts.tolist())}
-
-
-def rates(objects: Mapping[str, str], n_grasps: int) -> None:
-    """Print how grasps of each rate of the ramp are named after teaching with each."""
-    ramps = {
-        rate_n_s: {"sequence.ramp.rate_n_s": rate_n_s, "sequence.ramp.hold_s": hold_s} | _ZEROED
-        for rate_n_s, hold_s in RATES_N_S.items()
-    }
-    tested = {n_s: cell_grasps(objects, n_grasps, seed=52, changes=ramps[n_s]) for n_s in ramps}
-    for taught_n_s, changes in ramps.items():
-        train = cell_grasps(objects, n_grasps, seed=51, changes=changes)
-        recognizer = ForceRampTrainer().fit(train)
-        for used_n_s, used in tested.items():
-            what = f"  taught {taught_n_s:g}, used {used_n_s:g} N/s"
-            line(what, figures(asked(recognizer, used)))

@@ -3,7 +3,6 @@
 import os
 import select
 import signal
-import tempfile
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -13,7 +12,6 @@ from typing import Any, Self
 from simulator.boards.site import SerialBoard
 from simulator.can.slcan import SlcanAdapter
 from simulator.devices import CellDevices
-from simulator.errors import EndpointError
 from simulator.faults.injector import FaultInjector
 from simulator.realtime.requests import CellRequests, PositionerServer
 from simulator.realtime.terminals import BoardPty, SerialPty
@@ -131,7 +129,7 @@ def serve(
     settings: SimulatorSettings,
     announce: Announce,
     *,
-    folder: Path | None = None,
+    folder: Path,
     until_parent_ends: bool = False,
 ) -> None:
     """Run a simulated cell until SIGTERM or SIGINT, in the main thread of a separate process.
@@ -147,8 +145,7 @@ def serve(
         they move), ``board_ports`` (of sensor boards, by finger), ``positioner_socket``, ``pid``,
         and ``config``, which is None here.
     folder
-        Folder for the links to the terminals, and for the socket; by default a temporary folder,
-        which is removed at the end.
+        Folder for the links to the terminals, and for the socket.
     until_parent_ends
         Also end when the parent process ends.
     """
@@ -158,13 +155,6 @@ def serve(
         for number in (signal.SIGTERM, signal.SIGINT):
             before = signal.signal(number, lambda received, _frame: stop.append(received))
             stack.callback(signal.signal, number, before)
-        if folder is None:
-            temporary = tempfile.TemporaryDirectory(prefix="tactile-cell-")
-            folder = Path(stack.enter_context(temporary))
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise EndpointError(f"the folder {folder} cannot be made: {error}") from error
         cell = stack.enter_context(RealTimeCell(settings, folder, time.monotonic()))
         announce(cell.announcement())
         due_s = time.monotonic()
