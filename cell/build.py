@@ -175,7 +175,6 @@ def build_cell(
     simulated: SimulatedCell | None = None,
     partial: bool = False,
     note: Callable[[str], None] = lambda _text: None,
-    wall_s: Callable[[], float] = time.time,
 ) -> Cell:
     """Open the buses of a config and build the cell; nothing moves yet.
 
@@ -197,8 +196,6 @@ def build_cell(
         Whether one line of the hand may be missing, for diagnosis and release; see `Cell.missing`.
     note
         Gets messages for the operator, e.g. that the recording has stopped, from any thread.
-    wall_s
-        Returns the unix time in s.
 
     Raises
     ------
@@ -242,7 +239,7 @@ def build_cell(
             positioner,
             clock=clock,
             recorder=recorder,
-            zeros=stored_zeros(config, state_folder(config, folder), now_s=wall_s),
+            zeros=stored_zeros(config, state_folder(config, folder)),
         )
         retention = None
         if recorder is not None and folder is not None:

@@ -54,16 +54,11 @@ def zero_file(directory: Path, cell_name: str) -> Path:
 
 
 def stored_zeros(
-    config: CellConfig,
-    directory: Path | None,
-    *,
-    new_hand: bool | None = None,
-    now_s: Callable[[], float] = time.time,
+    config: CellConfig, directory: Path | None, *, new_hand: bool | None = None
 ) -> "SelfZeros":
     """Return the self-zeros of a cell, saved in a folder; None: in this program alone.
 
     ``new_hand``: values of earlier programs are of another hand, for example a simulated one.
-    ``now_s`` returns the unix time in s.
     """
     port = config.gripper.port
     return SelfZeros(
@@ -73,7 +68,6 @@ def stored_zeros(
         hand=_hand_of(config),
         new_hand=config.simulated if new_hand is None else new_hand,
         servos={one.id: {"port": port, "model": one.model} for one in config.gripper.servos},
-        now_s=now_s,
     )
 
 

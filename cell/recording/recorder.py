@@ -89,9 +89,6 @@ class Recorder:
         Whether a grasp must stop when its recording stops; see `cell.control.journal`.
     note
         Gets a message for the operator when the recording stops.
-    wall_clock_ns
-        Wall clock in ns since 1970, read at the start and with each change of state; only for
-        people, not for the order of messages.
     """
 
     def __init__(
@@ -104,10 +101,8 @@ class Recorder:
         background: bool = False,
         vital: bool = False,
         note: Callable[[str], None] = lambda _text: None,
-        wall_clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self.vital = vital
-        self.wall_clock_ns = wall_clock_ns
         self._first_path = Path(path)
         self._clock = clock
         self._pads = pads
@@ -283,7 +278,7 @@ class Recorder:
         places = {name: getattr(pads, name) for name in ("pad_shape", "taxel_pad", "adc_max")}
         described = {
             "format": str(RECORDING),
-            "wall_clock_start_ns": str(self.wall_clock_ns()),
+            "wall_clock_start_ns": str(time.time_ns()),
             "monotonic_start_ns": str(schema.to_ns(self._clock.monotonic())),
             "pads": schema.to_json(places | {"taxel_xy_m": pads.taxel_xy_m}).decode(),
         }

@@ -1,5 +1,6 @@
 """The parts of a cell: each is filled once, in the thread of the cell, and all listeners get it."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -31,8 +32,6 @@ class PartLog:
 
     controller: CellController
     model: TaughtModel
-    wall_s: Callable[[], float]
-    """Returns the unix time in s."""
     listeners: list[OnPart] = field(default_factory=list)
     """Called with each part."""
     last: Part | None = None
@@ -80,7 +79,7 @@ class PartLog:
         part = Part(
             job=self._job[0],
             task=self._job[1],
-            time_s=self.wall_s(),
+            time_s=time.time(),
             seconds=self._since_s - before_s,
             presented=self.controller.journal.brought or "",
             **fields,

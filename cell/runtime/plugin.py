@@ -116,7 +116,6 @@ class TactileCellPlugin:
         ask: Callable[[str], str] | None = None,
         start: bool = True,
         note: Callable[[str], None] = lambda _text: None,
-        wall_s: Callable[[], float] = time.time,
     ) -> None:
         """Connect to the cell, verify the devices and take the zero of the taxels.
 
@@ -149,8 +148,6 @@ class TactileCellPlugin:
             False: `connect` or `reset` verifies the devices.
         note
             Gets messages for the operator, e.g. that the recording has stopped, from any thread.
-        wall_s
-            Returns the unix time in s, for the age of the self-zero.
 
         Raises
         ------
@@ -197,13 +194,12 @@ class TactileCellPlugin:
             places=places,
             ask=ask,
             note=note,
-            wall_s=wall_s,
         )
         """The cell itself; only the thread of the plugin moves it."""
         controller = self.cell.controller
         self.newtons = TaxelNewtons(checked, controller)
         """Converts counts of the taxels into forces."""
-        self._tasks = tasks.Tasks(controller, self._file, wall_s)
+        self._tasks = tasks.Tasks(controller, self._file)
         self._parts = self._tasks.parts
         self._reading: threading.Thread | None = None
         self._remarks: deque[tuple[str, str]] = deque(maxlen=_REMARKS_MAX)

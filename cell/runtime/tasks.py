@@ -1,6 +1,5 @@
 """Tasks of a host's jobs: teach, identify, grip, verify and sort, with progress as plain data."""
 
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
@@ -148,18 +147,11 @@ class Tasks:
     ----------
     file
         The model and its file.
-    wall_s
-        Returns the unix time in s.
     """
 
-    def __init__(
-        self,
-        controller: CellController,
-        file: ModelFile,
-        wall_s: Callable[[], float] = time.time,
-    ) -> None:
+    def __init__(self, controller: CellController, file: ModelFile) -> None:
         self.controller, self.file, self.model = controller, file, file.model
-        self.parts = PartLog(controller, file.model, wall_s)
+        self.parts = PartLog(controller, file.model)
         """Makes the parts."""
 
     def teach(self, goal: TeachGoal, report: Report) -> int:

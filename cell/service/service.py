@@ -180,8 +180,6 @@ class Service:
         Gets messages for the operator.
     clock
         Time of the clients: real time even if the cell's time is virtual.
-    wall_s
-        Returns the unix time in s, for shift and history.
     """
 
     def __init__(
@@ -193,20 +191,17 @@ class Service:
         history_path: Path | None = None,
         note: Callable[[str], None] = lambda _text: None,
         clock: Clock = time,
-        wall_s: Callable[[], float] = time.time,
     ) -> None:
         self.config = config
         self.version = version("tactile-cell")
         self.boot = int(time.time()) % 0xFFFF + 1
         """Number of this start, 1 to 65535, from the seconds of its time: it differs at each start.
         """
-        self.shift = Shift(config.serve.shift_begins_h, lambda: plugin.status().n_faults, wall_s)
+        self.shift = Shift(config.serve.shift_begins_h, lambda: plugin.status().n_faults)
         """The ledger of the parts."""
         self.totals = Totals()
         """Growing totals, for metrics."""
-        self.history = History(
-            history_path, plugin.status, note=note, shift=self.shift, wall_s=wall_s
-        )
+        self.history = History(history_path, plugin.status, note=note, shift=self.shift)
         """Parts and faults of the days."""
         self.history.start()
         plugin.watch_parts(self._count)
@@ -581,7 +576,6 @@ def open_service(
     *,
     note: Callable[[str], None] = lambda _text: None,
     clock: Clock = time,
-    wall_s: Callable[[], float] = time.time,
     **cell: Any,
 ) -> Service:
     """Open a cell and return its service.
@@ -591,7 +585,7 @@ def open_service(
     config
         The cell. A positioner of kind ``callback`` is the pose handshake. ``host_timeout_s`` has no
         effect, because the lease supervises the clients.
-    note, clock, wall_s
+    note, clock
         As `Service`.
     cell
         Model, folder of the recording and other arguments of `TactileCellPlugin`.
@@ -605,7 +599,6 @@ def open_service(
         config.model_copy(update={"host_timeout_s": None}),
         mover=poses.move if config.positioner.kind == "callback" else None,
         note=note,
-        wall_s=wall_s,
         **cell,
     )
     folder = state_folder(config, cell.get("folder"))
@@ -616,7 +609,6 @@ def open_service(
         history_path=None if folder is None else history_file(folder, config.name),
         note=note,
         clock=clock,
-        wall_s=wall_s,
     )
 
 

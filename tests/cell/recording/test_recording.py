@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import jsonschema
 import numpy as np
@@ -110,11 +111,10 @@ BAR = make_shape(
 
 def record(path: Path, n_grasps: int = 3) -> list[Grasp]:
     clock = Clock(100.0)
-    with closing(
-        Recorder(
-            path, clock, pads=PADS, metadata={"config": "abc"}, wall_clock_ns=lambda: 1_700 * 10**9
-        )
-    ) as recorder:
+    with (
+        patch("time.time_ns", lambda: 1_700 * 10**9),
+        closing(Recorder(path, clock, pads=PADS, metadata={"config": "abc"})) as recorder,
+    ):
         journal = Journal(recorder)
         journal.states(CellState.HELD, GraspState.NO_PART_FOUND)
         journal.loop(HAND_STATISTICS)
