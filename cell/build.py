@@ -35,12 +35,7 @@ from cell.hand.interface import Hand
 from cell.hand.local import SHARED_PROCESS, LocalHand, open_hand
 from cell.recording.recorder import Recorder
 from cell.recording.retention import Retention
-from cell.simulation import (
-    InProcessPlacer,
-    open_can_bus,
-    open_servo_port,
-    simulation_of,
-)
+from cell.simulation import InProcessPlacer, open_can_bus, open_servo_port, simulation_of
 from gripper.clock import Clock
 from gripper.dynamixel.serial_port import ByteStream, SerialStream
 from gripper.values.state import GripperPhase

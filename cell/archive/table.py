@@ -18,14 +18,7 @@ from cell.formats import ARCHIVE
 from cell.recording.reader import Recording, between
 from gripper.values.state import GripperPhase
 from recognition.features import FEATURE_VERSION, features_of, sizes_mm
-from recognition.grasp import (
-    COMMAND_COLUMNS,
-    ZERO_COLUMNS,
-    Grasp,
-    GraspCommand,
-    PadArray,
-    SelfZero,
-)
+from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand, PadArray, SelfZero
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import Rest, learn_rest
 

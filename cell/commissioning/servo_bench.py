@@ -25,12 +25,7 @@ from cell.files import free_name, write_text
 from cell.formats import SERVO_BENCH, write_json
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.control_table import (
-    PRESENT_BLOCK,
-    REGISTERS,
-    TICK_MODULO,
-    WATCHDOG_UNIT_S,
-)
+from gripper.dynamixel.control_table import PRESENT_BLOCK, REGISTERS, TICK_MODULO, WATCHDOG_UNIT_S
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import OperatingMode, ServoModel
 from gripper.errors import GripperError

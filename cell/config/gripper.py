@@ -7,14 +7,7 @@ from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import AfterValidator, Field, model_validator
 
-from cell.config.section import (
-    MILLI,
-    SIMULATED,
-    Installed,
-    Section,
-    declared_values,
-    setting_of,
-)
+from cell.config.section import MILLI, SIMULATED, Installed, Section, declared_values, setting_of
 from cell.errors import ConfigError, raised_as
 from cell.formats import SERVO_BENCH, read_json
 from cell.plugins import SERVO_MODELS

@@ -17,11 +17,7 @@ from cell.config.section import SIMULATED, Installed, Section, setting_of
 from cell.config.sequence import SequenceConfig, ramp_from_config
 from cell.config.serve import ServeConfig
 from cell.config.simulator import SimulatorConfig
-from cell.config.tactile import (
-    TactileConfig,
-    layout_from_config,
-    make_calibration,
-)
+from cell.config.tactile import TactileConfig, layout_from_config, make_calibration
 from cell.errors import ConfigError, raised_as
 from cell.plugins import RECOGNIZERS
 from gripper.dynamixel.latency import largest_rate_hz

@@ -36,12 +36,7 @@ from cell.errors import (
 from cell.fault_catalogue import CATALOGUE, Refusal
 from cell.formats import MAX_TEXT
 from cell.interfaces.access import is_loopback, read_secret, same_secret, view_token
-from cell.interfaces.http_server import (
-    REMEDIES,
-    REQUEST_BYTES,
-    HttpServer,
-    refusal,
-)
+from cell.interfaces.http_server import REMEDIES, REQUEST_BYTES, HttpServer, refusal
 from cell.interfaces.metrics import CONTENT_TYPE, metrics_text
 from cell.interfaces.page import mount_page
 from cell.interfaces.page_address import page_address, qr_code, view_note

@@ -42,14 +42,7 @@ from cell.errors import DatasetError, raised_as
 from cell.files import read_npz, savez, write_atomically
 from cell.formats import DATASET, check_text
 from cell.recording.grasp_limits import RANGES, check_range, check_sizes, check_times
-from recognition.grasp import (
-    COMMAND_COLUMNS,
-    ZERO_COLUMNS,
-    Grasp,
-    GraspCommand,
-    PadArray,
-    SelfZero,
-)
+from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand, PadArray, SelfZero
 
 DATASET_LIMIT_BYTES = 1 << 30
 """Default limit of the unpacked size of a data set in bytes."""

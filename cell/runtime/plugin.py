@@ -24,12 +24,7 @@ from cell.config.model import CellConfig
 from cell.control.part import Part
 from cell.control.plan import Pose
 from cell.control.states import CellState, CellStatus, Command, command_effect
-from cell.errors import (
-    CellError,
-    ConfigError,
-    PartInGrip,
-    RequestRefused,
-)
+from cell.errors import CellError, ConfigError, PartInGrip, RequestRefused
 from cell.fault_catalogue import error_text
 from cell.runtime.goals import (
     TASKS,
@@ -43,14 +38,7 @@ from cell.runtime.goals import (
     checked_goal,
 )
 from cell.runtime.lease import Lease
-from cell.runtime.worker import (
-    SIGNAL_LOOK_S,
-    CellWorker,
-    Job,
-    JobFailed,
-    JobOutcome,
-    Report,
-)
+from cell.runtime.worker import SIGNAL_LOOK_S, CellWorker, Job, JobFailed, JobOutcome, Report
 from gripper.errors import ServoFault
 
 if TYPE_CHECKING:

@@ -27,14 +27,7 @@ from cell.control.plan import Pose
 from cell.control.states import CellStatus, Command
 from cell.errors import CellError, HeldByClient, RequestRefused
 from cell.fault_catalogue import BY_NUMBER, Refusal, error_text
-from cell.runtime.goals import (
-    TASKS,
-    Goal,
-    GripGoal,
-    IdentifyGoal,
-    SortGoal,
-    checked_goal,
-)
+from cell.runtime.goals import TASKS, Goal, GripGoal, IdentifyGoal, SortGoal, checked_goal
 from cell.runtime.lease import Lease
 from cell.runtime.plugin import HostStatus, TactileCellPlugin
 from cell.runtime.worker import Job
