@@ -16,7 +16,7 @@ from cell.control.states import (
     Command,
     Event,
     GraspState,
-    command_effect,
+    command_path,
     grasp_state,
     next_state,
     refusal,
@@ -156,7 +156,7 @@ class CellLifecycle:
 
     def check(self, command: Command) -> None:
         """Raise CellStateError if the command is not allowed in the present state."""
-        if not command_effect(self.state, command).accepted:
+        if command_path(self.state, command) is None:
             raise self._refused(refusal(self.state, command))
 
     def go(self, event: Event) -> None:

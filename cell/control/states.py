@@ -212,16 +212,6 @@ _CANCELLED = {CellState.EXECUTE: Event.HOLD, CellState.STARTING: Event.STOP}
 """Event of a cancel while a command runs; other acting states end as usual."""
 
 
-@dataclass(frozen=True, slots=True)
-class CommandEffect:
-    """Effect of a command in a state when nothing goes wrong."""
-
-    accepted: bool
-    """False: the command raises CellStateError and changes nothing."""
-    path: tuple[CellState, ...] = ()
-    """States that the cell passes, up to its final one; empty if the state does not change."""
-
-
 def next_state(state: CellState, event: Event) -> CellState:
     """Return the state that follows.
 
@@ -239,7 +229,7 @@ def refusal(state: CellState, asked: Command | Event) -> str:
     allowed = [
         command.value
         for command in Command
-        if command is not Command.CANCEL and command_effect(state, command).path
+        if command is not Command.CANCEL and command_path(state, command)
     ]
     return (
         f"the cell is {state.value}; allowed: {', '.join(allowed) or Command.CANCEL.value}; "
@@ -247,20 +237,19 @@ def refusal(state: CellState, asked: Command | Event) -> str:
     )
 
 
-def command_effect(state: CellState, command: Command) -> CommandEffect:
-    """Return the effect of a command in a state: one cell of the table of commands."""
+def command_path(state: CellState, command: Command) -> tuple[CellState, ...] | None:
+    """Return the states that a cell passes by a command without a fault, the final one last.
+
+    Empty if its state does not change. None: the command raises CellStateError and changes nothing.
+    """
     if command is Command.CANCEL:
         # A cancel without a running command stays pending for the next one.
-        return CommandEffect(True, _path(state, _CANCELLED[state]) if state in _CANCELLED else ())
-    if command is Command.SHUTDOWN:
-        if state.acting:
-            return CommandEffect(False)
-        stops = (state, Event.STOP) in TRANSITIONS
-        return CommandEffect(True, _path(state, Event.STOP) if stops else ())
+        return _path(state, _CANCELLED[state]) if state in _CANCELLED else ()
     event = _EVENT_OF[command]
-    if (state, event) not in TRANSITIONS:
-        return CommandEffect(False)
-    return CommandEffect(True, _path(state, event, holds=command in _KEEPING))
+    leads = (state, event) in TRANSITIONS
+    if command is Command.SHUTDOWN and (state.acting or not leads):
+        return None if state.acting else ()
+    return _path(state, event, holds=command in _KEEPING) if leads else None
 
 
 def _path(state: CellState, event: Event, *, holds: bool = False) -> tuple[CellState, ...]:

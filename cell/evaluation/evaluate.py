@@ -22,10 +22,10 @@ _NOT_WRITTEN = ("trainer", "uses_aperture", "n", "n_untaught")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecognizerFigures:
-    """Figures of one recognizer: with the opening, if it uses it, and without."""
+    """Figures of one recognizer: with the opening, if it uses it, and without it."""
 
     full: Evaluation
-    without_aperture: Evaluation | None
+    without_aperture: Evaluation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,12 +47,8 @@ class EvaluationResult:
         names = ("split", "n_train", "n_test", "labels", "seconds", "default", "left_out")
         return {name: getattr(self, name) for name in names} | {
             "recognizers": {
-                name: _figures(figures.full)
-                | {
-                    "without_aperture": figures.without_aperture
-                    and _figures(figures.without_aperture)
-                }
-                for name, figures in self.recognizers.items()
+                name: _figures(one.full) | {"without_aperture": _figures(one.without_aperture)}
+                for name, one in self.recognizers.items()
             },
         }
 

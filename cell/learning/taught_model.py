@@ -3,7 +3,7 @@
 import hashlib
 import os
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Self
@@ -62,8 +62,7 @@ class TaughtModel:
         self._pads = pad_array(layout_from_config(config.tactile))
         self._trained: Trained | None = None
         self._written: tuple[tuple[Grasp, ...], Path] = ((), Path())
-        self._drift_remarked = False
-        self._lacks_remarked: set[str] = set()
+        self._drift_remarked = self._zero_remarked = False
         if model is not None:
             check_pads(model, self._pads)
             _check_training_set(model, self.training_set)
@@ -258,17 +257,23 @@ class TaughtModel:
         self._drift_remarked = False
 
     def remark_on(self, records: Sequence[GraspRecord]) -> str:
-        """Follow the drift with the grasps of an answer; return new remarks for the operator.
+        """Follow the drift with the grasps of an answer; return a remark for the operator, or "".
 
-        A remark about the drift or a missing part of the model is returned once; else empty.
+        It remarks once that the drift has become likely, that it is gone, or that the model uses no
+        self-zero.
         """
         if remark := self._follow(records):
             return remark
-        for lack in self._lacks(records):
-            if lack not in self._lacks_remarked:
-                self._lacks_remarked.add(lack)
-                return lack
-        return ""
+        recognizer = self.recognizer
+        without = isinstance(recognizer, DriftFollowing) and recognizer.zero is None
+        zeroed = any(record.grasp.zero is not None for record in records)
+        if self._zero_remarked or not (without and zeroed):
+            return ""
+        self._zero_remarked = True
+        return (
+            "the model was taught without a self-zero, so today's self-zero is not used and "
+            "answers allow for any drift: teach again after a self-zero, or gauge"
+        )
 
     def _follow(self, records: Sequence[GraspRecord]) -> str:
         """Follow the drift with whole grasps; return a remark when it becomes likely, or is gone.
@@ -294,17 +299,6 @@ class TaughtModel:
         recognizer = self.recognizer
         assert isinstance(recognizer, DriftFollowing)
         self._trained = replace(self.check_taught(), recognizer=recognizer.with_grid(grid))
-
-    def _lacks(self, records: Sequence[GraspRecord]) -> Iterator[str]:
-        """Yield remarks about missing parts of the model, and about a changed foam."""
-        recognizer = self.recognizer
-        if not isinstance(recognizer, DriftFollowing):
-            return
-        if recognizer.zero is None and any(one.grasp.zero is not None for one in records):
-            yield (
-                "the model was taught without a self-zero, so today's self-zero is not used and "
-                "answers allow for any drift: teach again after a self-zero, or gauge"
-            )
 
     # -- files ---------------------------------------------------------------------------------
 

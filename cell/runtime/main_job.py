@@ -11,7 +11,6 @@ import numpy as np
 from cell.config.model import CellConfig
 from cell.control.identification import Identification
 from cell.control.part import Part
-from cell.control.records import GraspRecord
 from cell.learning.blas import one_blas_thread
 from cell.learning.progress import Progress
 from cell.learning.taught_model import training_set_file
@@ -54,14 +53,10 @@ class MainResult:
     """File of the report; None if not written."""
 
     @property
-    def records(self) -> tuple[GraspRecord, ...]:
-        """All grasps of the identifications, in order."""
-        return tuple(record for trial in self.trials for record in trial.records)
-
-    @property
     def grasp_s(self) -> float:
         """Mean time in s of a grasp of the identifications, from closing to the end of its ramp."""
-        return float(np.mean([record.duration_s for record in self.records] or [0.0]))
+        grasps_s = [record.duration_s for trial in self.trials for record in trial.records]
+        return float(np.mean(grasps_s or [0.0]))
 
     def as_json(self) -> dict[str, Any]:
         """Return what ``--json`` writes."""

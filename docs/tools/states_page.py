@@ -8,7 +8,7 @@ from cell.control.states import (
     Command,
     Event,
     GraspState,
-    command_effect,
+    command_path,
 )
 
 _BOX, _STEP = (112, 34), (225, 120)
@@ -191,10 +191,9 @@ def _states() -> str:
 
 def _commands() -> str:
     def allowed(state: CellState) -> tuple[str, str]:
-        effects = {command.value: command_effect(state, command) for command in Command}
-        ways = {name: one.path for name, one in effects.items() if one.accepted}
-        leads = [f"`{name}`: {' → '.join(path)}" for name, path in ways.items() if path]
-        stays = [f"`{name}`" for name, path in ways.items() if not path]
+        paths = {command.value: command_path(state, command) for command in Command}
+        leads = [f"`{name}`: {' → '.join(path)}" for name, path in paths.items() if path]
+        stays = [f"`{name}`" for name, path in paths.items() if path == ()]
         return "<br>".join(leads), ", ".join(stays)
 
     return _table(

@@ -20,7 +20,7 @@ from cell.control.states import (
     Command,
     Event,
     GraspState,
-    command_effect,
+    command_path,
     grasp_state,
     next_state,
 )
@@ -129,7 +129,7 @@ def test_every_state_can_fault_and_leaving_a_fault_takes_clear_and_reset() -> No
 # -- the cell does as the table says ---------------------------------------------------------
 
 
-ACCEPTED = [(s, c) for s in CellState for c in Command if command_effect(s, c).accepted]
+ACCEPTED = [(s, c) for s in CellState for c in Command if command_path(s, c) is not None]
 
 
 @pytest.mark.parametrize(("state", "command"), ACCEPTED)
@@ -137,7 +137,7 @@ def test_a_refused_command_changes_nothing_and_an_accepted_one_goes_the_way_of_t
     state: CellState, command: Command, make_bench: MakeBench, tmp_path: Path
 ) -> None:
     walk = Walk(make_bench(folder=tmp_path))
-    refused = [other for other in Command if not command_effect(state, other).accepted]
+    refused = [other for other in Command if command_path(state, other) is None]
     left: list[Command] = []
 
     def give_all() -> None:
@@ -155,13 +155,13 @@ def test_a_refused_command_changes_nothing_and_an_accepted_one_goes_the_way_of_t
     if held:
         released = command in (Command.RELEASE, Command.RELEASE_HELD)
         assert (walk.bench.grip_n == 0.0) if released else (walk.bench.grip_n > LEAST_N)
-    path = command_effect(state, command).path
+    path = command_path(state, command)
     if state.acting and not path:
         ends = next_state(state, COMPLETIONS[state])
         path = (ends,)
     way = [state, *path]
     assert walk.controller.life.state is way[-1]
-    way += command_effect(walk.controller.life.state, Command.SHUTDOWN).path
+    way += command_path(walk.controller.life.state, Command.SHUTDOWN)
     walk.bench.cell.close()
     recorded = [entry["state"] for entry in read_recording(tmp_path / "recording.mcap").states]
     entered = [name for name, _ in groupby([CellState.STOPPED, *recorded])]

@@ -293,7 +293,7 @@ def test_teaching_goes_on_after_a_grasp_without_a_part_and_ends_where_none_has_o
 
 def test_recorded_grasps_get_their_label_and_go_in_wherever_data_sets_do(taught, tmp_path) -> None:
     recording, named = taught.result.recording, tmp_path / "named.npz"
-    n_identified = len(taught.result.records)
+    n_identified = sum(len(trial.records) for trial in taught.result.trials)
     notes: list[str] = []
     assert {g.label for g in read_labelled_grasps(recording, notes.append)} == {"ball", "box"}
     assert notes == [f"{recording}: {n_identified} grasps without a label are left out"]

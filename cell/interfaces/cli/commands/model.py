@@ -266,7 +266,7 @@ def _lines(result: EvaluationResult) -> Iterator[str | Table]:
         table.add_column(column, justify="right" if table.columns else "left")
     for name, figures in result.recognizers.items():
         rows = [(name, figures.full)]
-        if figures.without_aperture not in (None, figures.full):
+        if figures.without_aperture != figures.full:
             rows.append(("  tactile only", figures.without_aperture))
         for title, one in rows:
             named = (one.named_right, one.named_wrong, 1.0 - one.named_right - one.named_wrong)
