@@ -79,7 +79,6 @@ class DriveBus(canopen.Network):
         super().__init__(bus)
         self.watch = watch
         self.loss_s = loss_s
-        self.clock = watch.clock
         self._source = PolledSource(bus, watch.clock)
         self._beat_due_s = math.inf
 
@@ -90,7 +89,7 @@ class DriveBus(canopen.Network):
 
     def beat(self) -> None:
         """Start the host's heartbeat, for drives that stop without it."""
-        self._beat_due_s = self.clock.monotonic() + _HOST_HEARTBEAT_S
+        self._beat_due_s = self.watch.clock.monotonic() + _HOST_HEARTBEAT_S
         self.send_message(od.COB_HEARTBEAT + _HOST_NODE, bytes((_OPERATIONAL,)))
 
     def service(self) -> None:
@@ -98,7 +97,7 @@ class DriveBus(canopen.Network):
 
         Raises AxisSilent when the interface fails.
         """
-        if self.clock.monotonic() >= self._beat_due_s:
+        if self.watch.clock.monotonic() >= self._beat_due_s:
             self.beat()
         with _failures_named():
             messages = self._source.drain()
@@ -165,7 +164,7 @@ class Cia402Drive(Axis):
             node_id,
             od.of_node(node_id),
             name=self.label,
-            clock=bus.clock,
+            clock=bus.watch.clock,
             service=self.check,
             wait=bus.wait,
             timeout_s=_SDO_SHARE * bus.loss_s,
@@ -243,7 +242,7 @@ class Cia402Drive(Axis):
     def wake(self) -> None:
         """Check that the drive still answers, is enabled and has no fault."""
         self._bus.drop_old()
-        self._heard_s = self._bus.clock.monotonic()
+        self._heard_s = self._watch.clock.monotonic()
         self._surplus = self._client.surplus
         self._supervised = True
         if self._state() == "QUICK STOP ACTIVE":
@@ -306,19 +305,21 @@ class Cia402Drive(Axis):
                 "drive has the same node-ID, or another program uses it. Leave one of them on the "
                 "bus"
             )
-        if self._nmt_state == _STOPPED:
-            raise self._not_operational()  # it answers no SDO
-        if not self._supervised:
-            return
-        if self._nmt_state == _BOOT_UP:
+        if self._supervised and self._nmt_state == _BOOT_UP:
             raise errors.AxisRestarted(
                 f"{self.label} has booted: its position is lost until it is homed again. Check its "
                 "supply"
             )
-        if self._nmt_state != _OPERATIONAL:
-            raise self._not_operational()
-        silent_s = self._bus.clock.monotonic() - self._heard_s
-        if silent_s > self._bus.loss_s:
+        # A stopped drive answers no SDO.
+        if self._nmt_state == _STOPPED or (self._supervised and self._nmt_state != _OPERATIONAL):
+            state = NMT_STATES.get(self._nmt_state, "unknown").lower()
+            raise errors.AxisNotOperational(
+                f"{self.label} is in the NMT state {state}, it has to be operational: another "
+                "CANopen master has commanded it. Look for that master; the next motion makes the "
+                "drive operational"
+            )
+        silent_s = self._watch.clock.monotonic() - self._heard_s
+        if self._supervised and silent_s > self._bus.loss_s:
             raise errors.AxisSilent(
                 f"no heartbeat from {self.label} for {silent_s:.3f} s, allowed are "
                 f"{self._bus.loss_s:g} s; its position is unknown. Check its supply and CAN cable"
@@ -329,14 +330,6 @@ class Cia402Drive(Axis):
     def _command(self, command: str) -> None:
         """Command an NMT state."""
         self._bus.send_message(od.COB_NMT, bytes((NMT_COMMANDS[command], self._node_id)))
-
-    def _not_operational(self) -> errors.AxisNotOperational:
-        state = NMT_STATES.get(self._nmt_state, "unknown").lower()
-        return errors.AxisNotOperational(
-            f"{self.label} is in the NMT state {state}, it has to be operational: another CANopen "
-            "master has commanded it. Look for that master; the next motion makes the drive "
-            "operational"
-        )
 
     def _set_up(self) -> None:
         settings, counts = self.settings, self.settings.counts
@@ -448,9 +441,9 @@ class Cia402Drive(Axis):
         error: type[Exception] = errors.AxisFault,
         timeout_s: float = _STATE_S,
     ) -> None:
-        end_s = self._bus.clock.monotonic() + timeout_s
+        end_s = self._watch.clock.monotonic() + timeout_s
         while not condition():
-            if self._bus.clock.monotonic() > end_s:
+            if self._watch.clock.monotonic() > end_s:
                 raise error(f"{self.label} {failure} (waited {timeout_s:g} s)")
             self._watch.pause(POLL_S)
             self.check()
@@ -498,6 +491,6 @@ class Cia402Drive(Axis):
             ) from error
 
     def _on_heartbeat(self, _cob_id: int, data: bytearray, _time_s: float) -> None:
-        self._heard_s = self._bus.clock.monotonic()
+        self._heard_s = self._watch.clock.monotonic()
         # Some drives send a boot-up without data.
         self._nmt_state = data[0] & _STATE_BITS if data else _BOOT_UP

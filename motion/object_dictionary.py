@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from enum import IntEnum, IntFlag
 from functools import cache
 from pathlib import Path
-from types import MappingProxyType
 
 import canopen
 from canopen.emcy import EmcyError
@@ -71,20 +70,18 @@ def state_of(statusword: int) -> str:
 FOLLOWING_ERROR_CODE = 0x8611
 HOST_LOST_CODE = 0x8130
 """Error codes of a following error, and of a lost heartbeat."""
-_ERROR_TEXTS: Mapping[int, str] = MappingProxyType(
-    {
-        0x2310: "continuous over-current",
-        0x3210: "over-voltage in the DC link",
-        0x3220: "under-voltage in the DC link",
-        0x4210: "the drive is too hot",
-        0x4310: "the motor is too hot",
-        0x7121: "the motor is blocked",
-        0x7305: "the encoder failed",
-        HOST_LOST_CODE: "the host's heartbeat was lost",
-        FOLLOWING_ERROR_CODE: "following error: the axis does not follow its set-point",
-        0x8612: "a position limit was passed",
-    }
-)
+_ERROR_TEXTS: Mapping[int, str] = {
+    0x2310: "continuous over-current",
+    0x3210: "over-voltage in the DC link",
+    0x3220: "under-voltage in the DC link",
+    0x4210: "the drive is too hot",
+    0x4310: "the motor is too hot",
+    0x7121: "the motor is blocked",
+    0x7305: "the encoder failed",
+    HOST_LOST_CODE: "the host's heartbeat was lost",
+    FOLLOWING_ERROR_CODE: "following error: the axis does not follow its set-point",
+    0x8612: "a position limit was passed",
+}
 """Error codes with their own text (CiA 402-2, 603Fh)."""
 
 

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile.clock import Clock
-from tactile.errors import FrameTimeout, LinkFault, LinkStateError, NodeMissing
+from tactile.errors import FrameTimeout, LinkFault, NodeMissing
 from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.source import (
     COUNTER_MASK,
     Arrivals,
     FrameStatus,
+    LatchingSource,
     PadZero,
     SourceIdentity,
     SourceStatistics,
@@ -69,7 +70,7 @@ class Board:
 _Board = TypeVar("_Board", bound=Board)
 
 
-class PolledBoards(ABC, Generic[_Board]):
+class PolledBoards(LatchingSource, ABC, Generic[_Board]):
     """Common part of `tactile.source.FrameSource` for boards without forces.
 
     It latches faults, detects silence and loss, and makes numbered frames of the samples of both
@@ -111,14 +112,13 @@ class PolledBoards(ABC, Generic[_Board]):
         max_loss_rate: float = 0.05,
         startup_timeout_s: float = 3.0,
     ) -> None:
+        super().__init__()
         self._name, self._boards, self._line_errors = name, boards, line_errors
         self.layout, self.clock, self.period_s = layout, clock, period_s
         self._order = taxel_order(layout, mounts)
         self._silence_s = max(silence_s, self.silent_periods * period_s)
         self._max_loss_rate, self._startup_s = max_loss_rate, startup_timeout_s
         self._counts = SourceStatistics()
-        self._fault: LinkFault | None = None
-        self._running = False
 
     @abstractmethod
     def open(self) -> None:
@@ -165,7 +165,7 @@ class PolledBoards(ABC, Generic[_Board]):
         try:
             with self._line_of(self._name):
                 self.open()
-            self._fault = None
+            self.fault = None
             while absent := [board for board in self._boards if not board.seen]:
                 if self.clock.monotonic() - began_s > self._startup_s:
                     raise FrameTimeout(self._absent(absent[0]))
@@ -179,17 +179,12 @@ class PolledBoards(ABC, Generic[_Board]):
 
     def poll(self) -> Arrivals:
         """Return the frames since the last call; does not wait."""
-        if self._fault is not None:
-            raise self._fault
-        if not self._running:
-            raise LinkStateError("the sensor is not running: start it first")
-        try:
-            frames = self._receive()
-            for board in self._boards:
-                self._check(board)
-        except LinkFault as fault:
-            self._fault = fault
-            raise
+        return self._guarded(self._poll)
+
+    def _poll(self) -> Arrivals:
+        frames = self._receive()
+        for board in self._boards:
+            self._check(board)
         return Arrivals(tuple(frames))
 
     def _check(self, board: Board) -> None:

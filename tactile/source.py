@@ -3,15 +3,18 @@
 The CANopen control unit (`tactile.control_unit`) is one source. Higher layers work with any source.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntFlag
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile.errors import LinkFault, LinkStateError
 from tactile.layout import TaxelLayout
+
+_Result = TypeVar("_Result")
 
 COUNTER_MASK = 0xFFFF
 """The counter of a frame has 16 bits."""
@@ -197,6 +200,27 @@ class SourceStatistics:
     def copied(self, **changes: Any) -> "SourceStatistics":
         """Return the present counts with changes; the source goes on with its own."""
         return replace(self, frames=replace(self.frames), forces=replace(self.forces), **changes)
+
+
+class LatchingSource:
+    """Base of sources: they read only while they run, and latch a fault until a new start."""
+
+    def __init__(self) -> None:
+        self.fault: LinkFault | None = None
+        """The latched fault, None without one."""
+        self._running = False
+
+    def _guarded(self, action: Callable[[], _Result]) -> _Result:
+        """Return the result of an action that needs a running source without a fault."""
+        if self.fault is not None:
+            raise self.fault
+        if not self._running:
+            raise LinkStateError("the sensor is not running: start it first")
+        try:
+            return action()
+        except LinkFault as fault:
+            self.fault = fault
+            raise
 
 
 class FrameSource(Protocol):

@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TypeVar
 
 import can
 import canopen
@@ -31,12 +30,11 @@ from tactile.source import (
     Arrivals,
     ForceMessage,
     ForceStatus,
+    LatchingSource,
     PadZero,
     SourceStatistics,
     TactileFrame,
 )
-
-_Result = TypeVar("_Result")
 
 _TRIPS = 10
 """Number of answers; one of them must come in time. A busy host may delay some."""
@@ -89,7 +87,7 @@ class Mounting:
         )
 
 
-class TactileLink:
+class TactileLink(LatchingSource):
     """One control unit on one CAN bus; implements `tactile.source.FrameSource`.
 
     `start`, then call `poll` often: it processes received messages, sends SYNC when due and checks
@@ -118,6 +116,7 @@ class TactileLink:
         force_table: bytes | None = None,
         reopen: Callable[[], can.BusABC] | None = None,
     ) -> None:
+        super().__init__()
         if not 1 <= node_id <= 127:
             raise ValueError(f"node-ID is {node_id}, must be 1 to 127")
         self._name = f"the control unit (node-ID {node_id})"
@@ -133,9 +132,6 @@ class TactileLink:
         sums = self.settings.force_period_s and self._mounting.unit_can_sum
         self._force_table = force_table if sums else None
         self._source = message_source(self._bus, self._clock)
-        self._running = False
-        self.fault: errors.LinkFault | None = None
-        """The latched fault, None without one."""
         self._reset()
 
     def _reset(self) -> None:
@@ -308,19 +304,6 @@ class TactileLink:
                 # The command does not reach the unit; its frames end without SYNCs.
                 self.fault = self.fault or fault
         self._source.close()
-
-    def _guarded(self, action: Callable[[], _Result]) -> _Result:
-        """Return the result of an action that needs a link without a fault; a fault latches."""
-        if self.fault is not None:
-            raise self.fault
-        if not self._running:
-            raise errors.LinkStateError("the link is not running: start it first")
-        try:
-            return action()
-        except errors.LinkFault as fault:
-            self.fault = fault
-            self._next_sync_s = None
-            raise
 
     def _take_forces(self) -> tuple[ForceMessage, ...]:
         """Return the force messages since the last call."""

@@ -9,7 +9,6 @@ Page 1954) of what is beyond the limits find large differences within two frames
 
 from collections import deque
 from collections.abc import Sequence
-from itertools import zip_longest
 from math import inf, isinf
 
 import numpy as np
@@ -109,6 +108,25 @@ class ForceCentres:
         return np.sqrt(variance_m2)
 
 
+class _TwoSidedSum:
+    """Cumulative sums of a difference beyond its limits, one in each direction."""
+
+    def __init__(self) -> None:
+        self._above = self._below = 0.0
+
+    def limit_exceeded(self, apart: float, above: float, below: float, noise: float) -> float:
+        """Add a difference; return the limit that the differences exceed by now, else 0.0."""
+        self._above = _added(self._above, (apart - above) / noise)
+        self._below = _added(self._below, (-apart - below) / noise)
+        if self._above > _DECISION_SIGMAS:
+            return above
+        return below if self._below > _DECISION_SIGMAS else 0.0
+
+
+def _added(total: float, beyond: float) -> float:
+    return max(total + min(beyond, _OUTLIER_SIGMAS) - _REFERENCE_SIGMAS, 0.0)
+
+
 class ForceCheck:
     """Comparison of messages and frames by cumulative sums."""
 
@@ -124,8 +142,8 @@ class ForceCheck:
         """Discard messages and sums: a new zero, with this noise of one taxel in N."""
         self._taxel_noise_n = taxel_noise_n
         self._messages.clear()
-        # Of more and less force on each finger, then of the centre in both directions of each axis.
-        self._sums = [0.0] * 8
+        self._fingers = _TwoSidedSum(), _TwoSidedSum()
+        self._axes = _TwoSidedSum(), _TwoSidedSum()
 
     def compare(
         self,
@@ -167,55 +185,47 @@ class ForceCheck:
         messages = [one for one in near if one.t_s >= began_s]
         if not messages:
             return
-        taxel_noise_n, both = self._taxel_noise_n, (0, 1)
         # With two values each, lists take a sixth of the time of arrays.
         message_n = _means_n(messages)
         half = max(1, len(near) // 2)
         # Where the force changes fast, so much may be between a scan and the messages around it.
         first_n, last_n = _means_n(near[:half]), _means_n(near[-half:])
-        frame_n = [max(force_n[n], min(whole_n[n], message_n[n])) for n in both]
-        above_n = [
-            _LEAST_N + _LEAST_SHARE * max(frame_n[n], message_n[n]) + abs(last_n[n] - first_n[n])
-            for n in both
-        ]
-        below_n = [limit_n + _BELOW_SIGMAS * taxel_noise_n for limit_n in above_n]
-        above_n = [max(above_n[n], hidden_n[n]) for n in both]
-        unseen_n = max(_UNSEEN_N, _UNSEEN_SIGMAS * taxel_noise_n)
-        below_n = [below_n[n] if frame_n[n] else max(below_n[n], unseen_n) for n in both]
-        apart_n = [frame_n[n] - message_n[n] for n in both]
-        beyond = [(apart_n[n] - above_n[n]) / noise_n for n in both]
-        beyond += [(-apart_n[n] - below_n[n]) / noise_n for n in both]
-        grip_n = 0.5 * sum(message_n)
-        least_n = max(_CENTRE_LEAST_N, _CENTRE_LEAST_SIGMAS * taxel_noise_n)
-        apart_taxels, allowed_taxels = [0.0, 0.0], _CENTRE_TAXELS
-        if centre_taxels is not None and min(0.5 * sum(force_n), grip_n) >= least_n:
-            # Messages without a centre, and a frame with one: the largest possible error.
-            message_taxels = mean_centre_taxels(messages) or (inf, inf)
-            apart_taxels = [message_taxels[n] - centre_taxels[n] for n in both]
-            by_force = _CENTRE_N_TAXELS / max(0.5 * sum(frame_n), _CENTRE_LEAST_N)
-            noise = [max(by_force, _CENTRE_BOTH * centre_noise_taxels[n]) for n in both]
-            hidden = 0.5 * sum([whole_n[n] - force_n[n] for n in both])
-            allowed_taxels += _SPREAD_TAXELS * max(0.0, hidden / max(grip_n, _CENTRE_LEAST_N))
-            beyond += [(apart_taxels[n] - allowed_taxels) / noise[n] for n in both]
-            beyond += [(-apart_taxels[n] - allowed_taxels) / noise[n] for n in both]
-        steps = [min(one, _OUTLIER_SIGMAS) - _REFERENCE_SIGMAS for one in beyond]
-        pairs = zip_longest(self._sums, steps, fillvalue=-inf)
-        self._sums = [max(before + step, 0.0) for before, step in pairs]
-        for kind, n in [divmod(i, 2) for i, at in enumerate(self._sums) if at > _DECISION_SIGMAS]:
-            if kind < 2:
+        frame_n = [max(force_n[n], min(whole_n[n], message_n[n])) for n in (0, 1)]
+        for n, finger in enumerate(self._fingers):
+            changed_n, most_n = abs(last_n[n] - first_n[n]), max(frame_n[n], message_n[n])
+            above_n = _LEAST_N + _LEAST_SHARE * most_n + changed_n
+            below_n = above_n + _BELOW_SIGMAS * self._taxel_noise_n
+            if not frame_n[n]:
+                below_n = max(below_n, _UNSEEN_N, _UNSEEN_SIGMAS * self._taxel_noise_n)
+            above_n = max(above_n, hidden_n[n])
+            apart_n = frame_n[n] - message_n[n]
+            if limit_n := finger.limit_exceeded(apart_n, above_n, below_n, noise_n):
                 raise ForceContradicted(
                     f"the force messages show {message_n[n]:.2f} N on finger {n}, frames of the "
-                    f"same time {frame_n[n]:.2f} N; a difference of "
-                    f"{(above_n, below_n)[kind][n]:.2f} N is allowed: {_ADVICE}"
+                    f"same time {frame_n[n]:.2f} N; a difference of {limit_n:.2f} N is allowed: "
+                    f"{_ADVICE}"
                 )
-            away = abs(apart_taxels[n])
-            where = f"is {away:.2f} pitches of the taxels away from that in"
-            if isinf(away):
-                where = "is missing, though there is one in"
-            raise ForceContradicted(
-                f"the centre of the force in the messages {where} the frames of the same time, "
-                f"{allowed_taxels:.2f} pitches are allowed: {_ADVICE}"
-            )
+        grip_n, seen_n = 0.5 * sum(message_n), 0.5 * sum(force_n)
+        least_n = max(_CENTRE_LEAST_N, _CENTRE_LEAST_SIGMAS * self._taxel_noise_n)
+        if centre_taxels is None or min(seen_n, grip_n) < least_n:
+            self._axes = _TwoSidedSum(), _TwoSidedSum()
+            return
+        # Messages without a centre, and a frame with one: the largest possible error.
+        message_taxels = mean_centre_taxels(messages) or (inf, inf)
+        by_force = _CENTRE_N_TAXELS / max(0.5 * sum(frame_n), _CENTRE_LEAST_N)
+        hidden = max(0.0, 0.5 * sum(whole_n) - seen_n) / max(grip_n, _CENTRE_LEAST_N)
+        allowed = _CENTRE_TAXELS + _SPREAD_TAXELS * hidden
+        for n, axis in enumerate(self._axes):
+            apart = message_taxels[n] - centre_taxels[n]
+            noise = max(by_force, _CENTRE_BOTH * centre_noise_taxels[n])
+            if axis.limit_exceeded(apart, allowed, allowed, noise):
+                where = f"is {abs(apart):.2f} pitches of the taxels away from that in"
+                if isinf(apart):
+                    where = "is missing, though there is one in"
+                raise ForceContradicted(
+                    f"the centre of the force in the messages {where} the frames of the same time, "
+                    f"{allowed:.2f} pitches are allowed: {_ADVICE}"
+                )
 
 
 def _means_n(messages: Sequence[ForceMessage]) -> list[float]:

@@ -147,7 +147,7 @@ class UskinSource(PolledBoards[_Board]):
 
     def open(self) -> None:
         """Open a lost bus again, and start both boards."""
-        self._bus = reopened(self._bus, self._fault, self._reopen)
+        self._bus = reopened(self._bus, self.fault, self._reopen)
         self._source = message_source(self._bus, self.clock)
         self._source.start()
         for board in self._boards:

@@ -327,3 +327,11 @@ def test_centres_that_are_elsewhere_or_missing_are_found(force_n, centre, most) 
     check.reset(taxel_noise_n=0.02)
     n_frames = frames_until_fault(check, force_n, force_n, message_centre=centre)
     assert n_frames == 100 if most == 100 else n_frames <= most
+
+
+def test_centres_of_several_touches_do_not_add_up() -> None:
+    check = ForceCheck()
+    check.reset(taxel_noise_n=0.02)
+    for n, centre in enumerate([(0.0, 0.0), None] * 20):
+        messages = around(0.02 * n, 6.0, 6.0, centre=(1.0, 0.0))
+        compared(check, 0.02 * n, messages, (6.0, 6.0), centre=centre)
