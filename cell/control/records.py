@@ -1,7 +1,7 @@
 """Grasp records: the control periods and the tactile frames of one grasp."""
 
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -138,14 +138,10 @@ def spliced(approach: Grasp, further: Grasp, from_n: float) -> Grasp:
     n = int(np.argmax(np.asarray(approach.force_n) >= from_n))
     gap_s = float(np.median(np.diff(further.t_s))) if further.n_frames > 1 else 0.0
     later_s = float(approach.t_s[n - 1]) + gap_s if n else 0.0
-    return Grasp(
-        pads=further.pads,
+    return replace(
+        further,
         counts=np.concatenate([approach.counts[:n], further.counts]),
         t_s=np.concatenate([approach.t_s[:n], further.t_s + later_s]),
         aperture_m=np.concatenate([approach.aperture_m[:n], further.aperture_m]),
         force_n=np.concatenate([approach.force_n[:n], further.force_n]),
-        label=further.label,
-        source=further.source,
-        start_ms=further.start_ms,
-        command=further.command,
     )

@@ -30,6 +30,7 @@ from cell.recording.reader import read_recording
 from gripper.errors import GripperError, LimitExceeded
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
+from recognition.grasp import ZERO_COLUMNS, SelfZero
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.statistics.fusion import DecisionKind
 from tactile.layout import paper_layout
@@ -314,8 +315,10 @@ def test_grid_visits_each_point_once_before_it_repeats() -> None:
 
 
 def test_a_further_ramp_follows_the_frames_of_the_first_one_before_it() -> None:
-    first, further = plain_grasp("ball"), plain_grasp("ball", t_s=np.arange(12) * 0.02)
+    zero = SelfZero(**dict.fromkeys(ZERO_COLUMNS, 0.01))
+    first, further = plain_grasp("ball"), plain_grasp("ball", t_s=np.arange(12) * 0.02, zero=zero)
     whole = spliced(first, further, 1.0)
+    assert whole.zero == zero
     assert np.flatnonzero(first.force_n < 1.0).tolist() == [0, 1, 2]
     assert whole.t_s[:6].tolist() == pytest.approx([0.0, 0.03, 0.06, 0.08, 0.1, 0.12])
     assert spliced(first, further, 0.0).t_s.tolist() == further.t_s.tolist()
