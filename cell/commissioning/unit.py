@@ -22,9 +22,8 @@ from cell.config.tactile import (
     TactileConfig,
     layout_from_config,
     link_settings,
-    make_calibration,
 )
-from cell.hand.local import frame_source, sensor_settings
+from cell.hand.local import taxel_sensor
 from tactile.can.bus import CanBus, MissingBus
 from tactile.control_unit.object_dictionary import PRODUCT_CODE, VENDOR_ID
 from tactile.control_unit.search import (
@@ -86,9 +85,7 @@ def unit_sensor(bench: Bench, *, mounted: bool = True) -> Iterator[TactileSensor
             else MissingBus(),
             real_time=bench.clock is time,
         )
-        source = frame_source(tactile, lines)
-        law, settings = make_calibration(tactile, source.layout), sensor_settings(tactile)
-        yield undo.enter_context(TactileSensor(source, law, clock=bench.clock, settings=settings))
+        yield undo.enter_context(taxel_sensor(tactile, lines))
 
 
 def find_unit(bench: Bench, dialog: Dialog, notes: Notes) -> None:

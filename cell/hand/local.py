@@ -67,19 +67,14 @@ class LocalHand:
         notes: tuple[str, ...] = (),
         clock: Clock = time,
     ) -> None:
-        settings = sensor_settings(config.tactile, config.friction_n)
-        source = frame_source(
-            config.tactile,
-            SensorLines(
-                clock=clock,
-                open_serial=lines.open_boards,
-                can_bus=lines.can_bus,
-                reopen_can=lines.reopen_can,
-                real_time=clock is time,
-            ),
+        sensor_lines = SensorLines(
+            clock=clock,
+            open_serial=lines.open_boards,
+            can_bus=lines.can_bus,
+            reopen_can=lines.reopen_can,
+            real_time=clock is time,
         )
-        calibration = make_calibration(config.tactile, source.layout)
-        self.sensor = sensor = TactileSensor(source, calibration, clock=clock, settings=settings)
+        self.sensor = sensor = taxel_sensor(config.tactile, sensor_lines, config.friction_n)
         self._force = GripForce(sensor, ForceSample)
         self.gripper = gripper = open_gripper(
             lines.stream,
@@ -266,6 +261,15 @@ def open_hand(
     except BaseException:
         lines.close()
         raise
+
+
+def taxel_sensor(
+    config: TactileConfig, lines: SensorLines, friction_n: float = 0.0
+) -> TactileSensor:
+    """Return the sensor of a config, not started, for fingers with a friction in N."""
+    source, settings = frame_source(config, lines), sensor_settings(config, friction_n)
+    calibration = make_calibration(config, source.layout)
+    return TactileSensor(source, calibration, clock=lines.clock, settings=settings)
 
 
 def frame_source(config: TactileConfig, lines: SensorLines) -> FrameSource:

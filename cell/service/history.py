@@ -52,17 +52,6 @@ _OLDEST_DAY = """
     DELETE FROM events WHERE day < (
         SELECT MIN(day) FROM (SELECT DISTINCT day FROM events ORDER BY day DESC LIMIT ?)
     )"""
-_OF_PART = (
-    "time_s",
-    "label",
-    "presented",
-    "probability",
-    "place",
-    "rejected",
-    "n_grasps",
-    "seconds",
-)
-"""Columns that are values of a part."""
 _NEAR = 0.1
 """Least probability of the second label at which an unconfirmed answer counts as near."""
 _MOST_CONFUSED = 5
@@ -160,7 +149,7 @@ class History:
             kind="part" if part.label else "miss",
             second=second["label"],
             second_probability=second["probability"],
-            **{name: getattr(part, name) for name in _OF_PART},
+            **part.model_dump(include=set(COLUMNS)),
         )
 
     def values(self) -> dict[str, Any]:
