@@ -55,7 +55,8 @@ class PolledSource:
 
     def __init__(self, bus: can.BusABC, clock: Clock, *, limit: int = 4096) -> None:
         self._bus = bus
-        self._clock = clock
+        self.clock = clock
+        """The real clock, or that of a simulated bus with its devices."""
         self._limit = limit
         # A bus in memory has a method for all arrived messages, which is faster than one by one.
         self._recv_all: Callable[[int], list[can.Message]] = getattr(
@@ -69,7 +70,7 @@ class PolledSource:
 
     def drain(self) -> list[Stamped]:
         """Return all messages since the last call."""
-        now_s = self._clock.monotonic()
+        now_s = self.clock.monotonic()
         try:
             messages = self._recv_all(self._limit)
         except (can.CanError, OSError) as error:
@@ -80,7 +81,7 @@ class PolledSource:
 
     def wait(self, timeout_s: float) -> None:
         """Sleep for a short while, at most ``timeout_s``."""
-        self._clock.sleep(min(timeout_s, _POLL_S))
+        self.clock.sleep(min(timeout_s, _POLL_S))
 
     def close(self) -> None:
         """Nothing to stop."""
@@ -107,11 +108,11 @@ class ThreadedReceiver(PolledSource):
 
     def start(self) -> None:
         """Start the thread; earlier messages of the bus are discarded."""
-        PolledSource(self._bus, self._clock).start()
+        PolledSource(self._bus, self.clock).start()
         self._queue.clear()
         self._stop.clear()
         self._fault = None
-        self._alive_s = self._clock.monotonic()
+        self._alive_s = self.clock.monotonic()
         self._thread = threading.Thread(target=self._run, name="tactile-receive", daemon=True)
         self._thread.start()
 
@@ -119,7 +120,7 @@ class ThreadedReceiver(PolledSource):
         try:
             while not self._stop.is_set():
                 message = self._bus.recv(_RECEIVE_S)
-                self._alive_s = self._clock.monotonic()
+                self._alive_s = self.clock.monotonic()
                 if message is None or not message.is_rx:
                     continue
                 if len(self._queue) >= self._limit:
@@ -143,7 +144,7 @@ class ThreadedReceiver(PolledSource):
             raise ReceiveLoopDead("the receive thread is not running; start the link")
         if self._fault is not None:
             raise self._fault
-        silent_s = self._clock.monotonic() - self._alive_s
+        silent_s = self.clock.monotonic() - self._alive_s
         if silent_s > _HANG_S:
             raise ReceiveLoopDead(
                 f"the receive thread did not come round for {silent_s:.2f} s, allowed are "
@@ -168,9 +169,10 @@ def reopened(
     return reopen() if lost and reopen is not None else bus
 
 
-def message_source(bus: can.BusABC, clock: Clock) -> PolledSource:
+def message_source(bus: can.BusABC) -> PolledSource:
     """Return what receives the messages of a bus.
 
     It is a thread in real time, and the caller who polls under the clock of a simulated bus.
     """
+    clock: Clock = getattr(bus, "clock", time)
     return (ThreadedReceiver if clock is time else PolledSource)(bus, clock)

@@ -5,7 +5,6 @@ and emergencies, are not used: an exception there is one log line, and they fail
 and unknown states, which some units send.
 """
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -19,7 +18,6 @@ from tactile import errors
 from tactile.can.bus import bad_lines
 from tactile.can.receiver import interface_failed, message_source, of_another_kind, reopened
 from tactile.can.sdo_client import PolledSdoClient
-from tactile.clock import Clock
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.settings import LinkSettings, NodeIdentity
 from tactile.control_unit.setup import refuse_mismatch, refuse_other_unit, set_up, set_up_forces
@@ -123,27 +121,27 @@ class TactileLink(LatchingSource):
         self._bus, self._reopen, self._node_id = bus, reopen, node_id
         self.layout = layout
         """The taxels of the unit."""
-        # A simulated bus has the time of its devices.
-        self._clock: Clock = getattr(bus, "clock", time)
         self.settings = settings or LinkSettings()
         """Periods and limits."""
         self._mounting = Mounting(layout, self.settings.mounts)
         # The unit's sums are valid only for the gripping pads in their mounting.
         sums = self.settings.force_period_s and self._mounting.unit_can_sum
         self._force_table = force_table if sums else None
-        self._source = message_source(self._bus, self._clock)
         self._reset()
 
     def _reset(self) -> None:
         """Forget the unit: what was received, counted and set up since a start."""
         node_id = self._node_id
+        self._source = message_source(self._bus)
+        self.clock = self._source.clock
+        """The clock of the bus."""
         self._network = canopen.Network(self._bus)
         self._network.unsubscribe(self._network.lss.LSS_RX_COBID)
         self.objects = PolledSdoClient(
             node_id,
             od.of_node(node_id),
             name=self._name,
-            clock=self._clock,
+            clock=self.clock,
             service=self._service,
             wait=self._source.wait,
             timeout_s=self.settings.sdo_timeout_s,
@@ -191,7 +189,6 @@ class TactileLink(LatchingSource):
         if self._running:
             raise errors.LinkStateError("the link runs already: stop it before starting again")
         self._bus = reopened(self._bus, self.fault, self._reopen)
-        self._source = message_source(self._bus, self._clock)
         self._running = True
         self.fault = None
         self._reset()
@@ -228,7 +225,7 @@ class TactileLink(LatchingSource):
         self._command("OPERATIONAL")
         self._wait_for(lambda: watch.state == OPERATIONAL, "did not become operational")
         # From now on SYNC is sent, and heartbeat, state, frames and force messages are supervised.
-        now_s = self._looked_s = self._next_sync_s = self._clock.monotonic()
+        now_s = self._looked_s = self._next_sync_s = self.clock.monotonic()
         watch.enter_operation(now_s)
         if self._force_flow is not None:
             self._force_flow.enter_operation(now_s)
@@ -239,9 +236,9 @@ class TactileLink(LatchingSource):
         """Return whether the unit has force messages; FrameTimeout if its answers come too late."""
         limit_s = self.settings.force_late_s
         for _ in range(_TRIPS):
-            asked_s = self._clock.monotonic()
+            asked_s = self.clock.monotonic()
             has_forces = self.objects.find(od.FORCE_MESSAGE) is not None
-            trip_s = self._clock.monotonic() - asked_s
+            trip_s = self.clock.monotonic() - asked_s
             if self._force_table is None or not has_forces or trip_s <= limit_s:
                 return has_forces
         raise errors.FrameTimeout(
@@ -277,7 +274,7 @@ class TactileLink(LatchingSource):
 
         def write() -> None:
             self.objects[od.FORCE_ZERO].raw = sent
-            written_s = self._clock.monotonic()
+            written_s = self.clock.monotonic()
             self._take_forces()
             stored = self.objects[od.FORCE_ZERO].raw
             later = self._take_forces()
@@ -321,7 +318,7 @@ class TactileLink(LatchingSource):
         If the time since the last call exceeds a period of SYNC, the host is late. All deadlines
         are then extended by this lateness.
         """
-        now_s = self._clock.monotonic()
+        now_s = self.clock.monotonic()
         late_s = now_s - self._looked_s - self.settings.sync_period_s
         operating, forces = self._next_sync_s is not None, self._force_flow
         if operating and late_s > 0.0:
@@ -329,7 +326,7 @@ class TactileLink(LatchingSource):
             if forces is not None:
                 forces.wait_longer(now_s, late_s)
         self._dispatch()
-        now_s = self._looked_s = self._clock.monotonic()
+        now_s = self._looked_s = self.clock.monotonic()
         self._watch.check(now_s, self._unusable + self._assembler.counts.short)
         if self._next_sync_s is None:
             surplus = self.objects.surplus

@@ -3,7 +3,6 @@
 For commissioning, while the unit is still unknown. Nothing is written to it.
 """
 
-import time
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, closing, nullcontext, suppress
 from dataclasses import dataclass
@@ -13,7 +12,6 @@ from canopen.network import NodeScanner
 
 from tactile.can.receiver import message_source, of_another_kind
 from tactile.can.sdo_client import COB_SDO_REQUEST, COB_SDO_RESPONSE, PolledSdoClient
-from tactile.clock import Clock
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import TactileLink
 from tactile.control_unit.settings import NodeIdentity
@@ -70,15 +68,14 @@ def _traffic(
 
     A failure that ``failures`` suppresses ends the steps.
     """
-    clock: Clock = getattr(bus, "clock", time)
-    source, scanner = message_source(bus, clock), NodeScanner()
+    source, scanner = message_source(bus), NodeScanner()
     messages = errors = 0
     source.start()
     with closing(source), failures:
         for request, duration_s in steps:
             if request is not None:
                 bus.send(request)
-            end_s = clock.monotonic() + duration_s
+            end_s = source.clock.monotonic() + duration_s
             while True:
                 for _, message in source.drain():
                     messages += not message.is_error_frame
@@ -87,9 +84,9 @@ def _traffic(
                     node = message.arbitration_id >= COB_SDO_RESPONSE
                     if node and not (message.is_error_frame or of_another_kind(message)):
                         scanner.on_message_received(message.arbitration_id)
-                if (left_s := end_s - clock.monotonic()) <= 0.0:
+                if (left_s := end_s - source.clock.monotonic()) <= 0.0:
                     break
-                clock.sleep(min(left_s, _POLL_S))
+                source.clock.sleep(min(left_s, _POLL_S))
     return BusTraffic(messages=messages, errors=errors, nodes=tuple(sorted(scanner.nodes)))
 
 

@@ -1,10 +1,9 @@
 """Opening a sensor on the CANopen control unit: bus, link and sensor in one call."""
 
-import time
 from collections.abc import Callable
+from contextlib import ExitStack
 
 from tactile.can.bus import CanBus, close_bus, open_bus
-from tactile.clock import Clock
 from tactile.control_unit.node import TactileLink
 from tactile.control_unit.settings import LinkSettings
 from tactile.frames import force_table
@@ -60,25 +59,19 @@ def open_sensor(
     """
     layout = layout or paper_layout()
     calibration = calibration or FoamCalibration(layout.adc_max)
-    owned = isinstance(channel, str)
-    bus = open_bus(interface, channel, bitrate=bitrate) if isinstance(channel, str) else channel
-    clock: Clock = getattr(bus, "clock", time)
-    try:
-        return TactileSensor(
-            TactileLink(
-                bus,
-                node_id=node_id,
-                layout=layout,
-                settings=link,
-                force_table=force_table(layout, calibration.force_n),
-                reopen=reopen,
-            ),
-            calibration,
-            clock=clock,
-            settings=settings,
-            close_line=(lambda: close_bus(bus)) if owned else None,
+    with ExitStack() as line:
+        bus = channel
+        if isinstance(bus, str):
+            bus = open_bus(interface, bus, bitrate=bitrate)
+            line.callback(close_bus, bus)
+        source = TactileLink(
+            bus,
+            node_id=node_id,
+            layout=layout,
+            settings=link,
+            force_table=force_table(layout, calibration.force_n),
+            reopen=reopen,
         )
-    except BaseException:
-        if owned:
-            close_bus(bus)
-        raise
+        sensor = TactileSensor(source, calibration, clock=source.clock, settings=settings)
+        sensor.line = line.pop_all()
+    return sensor

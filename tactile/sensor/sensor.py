@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable
+from contextlib import ExitStack
 from copy import copy
 from dataclasses import dataclass
 from math import inf, sqrt
@@ -113,8 +114,6 @@ class TactileSensor:
     ----------
     calibration
         Counts to forces; must be for the layout's full scale.
-    close_line
-        Closes the line of the source at the end of a ``with``; None if it has another owner.
     """
 
     def __init__(
@@ -124,7 +123,6 @@ class TactileSensor:
         *,
         clock: Clock,
         settings: SensorSettings | None = None,
-        close_line: Callable[[], None] | None = None,
     ) -> None:
         layout = source.layout
         if calibration.adc_max != layout.adc_max:
@@ -134,7 +132,8 @@ class TactileSensor:
             )
         self.source = source
         """Source of frames and force messages."""
-        self._close_line = close_line
+        self.line = ExitStack()
+        """What `open_sensor` has opened; closed at the end of a ``with``."""
         self.running = False
         """Whether it was started, and not closed since."""
         self.identity: SourceIdentity | None = None
@@ -196,8 +195,7 @@ class TactileSensor:
     def __exit__(self, *_error: object) -> None:
         """Stop the source, and close the line if `open_sensor` has opened it."""
         self.stop()
-        if self._close_line is not None:
-            self._close_line()
+        self.line.close()
 
     def poll(self) -> tuple[TactileReading, ...]:
         """Return the readings since the last call, oldest first; does not wait.

@@ -135,7 +135,7 @@ class UskinSource(PolledBoards[_Board]):
         super().__init__("uSkin", parts, layout=layout, clock=clock, period_s=PERIOD_S, **options)
         self._bus, self._reopen = bus, reopen
         self._owner = {i: board for board in self._boards for i in board.ids.taxels}
-        self._source = message_source(self._bus, self.clock)
+        self._source = message_source(self._bus)
 
     def _absent(self, board: _Board) -> str:
         n_taxels = len(board.ids.taxels)
@@ -148,7 +148,7 @@ class UskinSource(PolledBoards[_Board]):
     def open(self) -> None:
         """Open a lost bus again, and start both boards."""
         self._bus = reopened(self._bus, self.fault, self._reopen)
-        self._source = message_source(self._bus, self.clock)
+        self._source = message_source(self._bus)
         self._source.start()
         for board in self._boards:
             try:
