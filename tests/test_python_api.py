@@ -78,16 +78,7 @@ def loaded(modules: str) -> set[str]:
         ("cell.runtime.plugin", ("scipy", "matplotlib", *CAN, "dynamixel_sdk")),
         (
             "pytest_tactile_cell.fixtures, pytest_tactile_cell.options",
-            (
-                "numpy",
-                "pydantic",
-                "cell",
-                "gripper",
-                "tactile",
-                "motion",
-                "recognition",
-                "simulator",
-            ),
+            ("numpy", "pydantic", *FACES),
         ),
         ("gripper, gripper.dynamixel.control_table, gripper.force.ramp", SERVOS),
         ("tactile.layout, tactile.frames, tactile.sensor.sensor", ("can",)),

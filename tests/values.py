@@ -75,16 +75,10 @@ def make_cycle(t_s: float = 1.0, **changes: Any) -> Cycle:
     return replace(cycle, **changes)
 
 
-def make_source_statistics(**changes: Any) -> SourceStatistics:
-    counts = dict.fromkeys(("requests", "late_requests", "foreign", "malformed", "error_frames"), 0)
-    values: dict[str, Any] = {"frames": FrameStatistics(), "recent_loss_rate": 0.0, **counts}
-    return SourceStatistics(**(values | changes))
-
-
 HAND_STATISTICS = HandStatistics(
     loop=LoopStatistics(cycles=5, worst_lateness_s=0.1, lateness=Distribution(n=5, max_s=0.1)),
     servo_bus=BusStatistics(transactions=3),
-    source=make_source_statistics(frames=FrameStatistics(complete=4)),
+    source=SourceStatistics(frames=FrameStatistics(complete=4)),
 )
 
 

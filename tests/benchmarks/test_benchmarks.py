@@ -10,11 +10,13 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from benchmarks import __main__ as command
 from benchmarks.__main__ import MODULES
@@ -34,6 +36,14 @@ from tests.recognition.conftest import make_grasps
 from tests.values import make_pads
 
 pytestmark = pytest.mark.no_cover  # to count lines takes as long again as to run them
+
+
+@pytest.fixture(autouse=True)
+def one_blas_thread() -> Iterator[None]:
+    """Have one thread of BLAS, as the command of the benchmarks has it before numpy is loaded."""
+    with threadpool_limits(1):
+        yield
+
 
 EFFORT = 0.01
 OTHERWISE = {*command.WITH_DATA, "soak"}

@@ -208,12 +208,8 @@ def test_labels_have_ids_that_the_config_fixes(make_plugin: Any, taught: Any) ->
 def test_each_command_is_remarked_with_its_client(served) -> None:
     service, lease = served.service, served.service.lease.acquire("first")
     service.start(lease, KEEP)
-    for key in (1, 0, RELEASE_KEY + 1, 0x504F):
-        with pytest.raises(RequestRefused, match=r"the key is 0x.*, not 0x4f50"):
-            service.command(lease, Command.RELEASE, key=key)
-    with pytest.raises(RequestRefused, match="no job 2; the newest is 1"):
-        service.plugin.job(2)
-    del served.plugin.remarks[4:]
+    with pytest.raises(RequestRefused, match=r"the key is 0x.*, not 0x4f50"):
+        service.command(lease, Command.RELEASE, key=1)
     with pytest.raises(CellStateError):
         service.command(lease, Command.RESET)
     service.command(lease, Command.RELEASE, key=RELEASE_KEY)

@@ -47,16 +47,6 @@ def test_touch_alone_names_most_and_does_not_look_at_the_opening(teach, fresh):
 
 
 @pytest.mark.slow
-def test_most_familiar_grasps_are_known_and_an_untaught_object_is_not(teach, fresh):
-    recognizer = teach("force_ramp", "bar", "block", "disc", "pin")
-    unknown = {True: [], False: []}
-    for grasp in fresh:
-        unknown[grasp.label == "egg"].append(recognizer.posterior(grasp).unknown)
-    assert np.mean(np.array(unknown[False]) > 0.5) <= 0.15
-    assert np.median(unknown[True]) > max(0.5, float(np.median(unknown[False])))
-
-
-@pytest.mark.slow
 def test_8_bit_pads_among_others_with_one_sided_noise():
     pads = make_pads(shapes=((12, 4), (12, 4), (6, 2), (12, 4)), adc_max=255)
     options = {"pads": pads, "gripping": (0, 3), "noise_counts": 20.0, "n_ramp": 60}
@@ -130,19 +120,6 @@ def test_grasps_and_those_that_teach_may_lack_the_opening(taught, train, fresh):
 def test_too_few_grasps_of_an_object_are_refused(train):
     with pytest.raises(ValueError, match="at least 3"):
         make_trainer("force_ramp").fit(train[::8])
-
-
-@pytest.mark.slow
-def test_one_object_alone_is_told_from_all_others(teach, fresh):
-    recognizer = teach("force_ramp", "pin")
-    assert recognizer.labels == ("pin",)
-    answers = {True: [], False: []}
-    for grasp in fresh:
-        posterior = recognizer.posterior(grasp)
-        assert posterior.probability.tolist() == [1.0]
-        answers[grasp.label == "pin"].append(posterior.unknown > 0.5)
-    assert np.mean(answers[True]) <= 0.25
-    assert np.mean(answers[False]) >= 0.75
 
 
 @pytest.mark.slow

@@ -8,14 +8,11 @@ from typing import Any
 
 import pytest
 
-from cell.config.model import CellConfig
 from cell.control.part import Part
 from cell.runtime.goals import Goal
-from cell.runtime.plugin import cell_values
 from cell.service.service import Service, state_values
 from gripper.errors import PartSlipped
 from recognition.recognizer import UNKNOWN
-from tactile.layout import paper_layout
 from tests.cell.served import Served
 
 BEFORE = ("nut", "bolt", "nut", UNKNOWN, "bolt", "nut", "pin", "nut", "nut", "bolt", "nut", "nut")
@@ -51,12 +48,14 @@ class FakeCell:
         self.sends = threading.Event()
         self.sends.set()
         self.n_messages = 0
-        self.info = cell_values(CellConfig(), paper_layout()) | {
+        self.info: dict[str, Any] = {
             "name": "Cell 3", "places": ["tray A", "tray B", "box", "rejects"],
         }  # fmt: skip
+        """What is shown in the place of the plugin's own values."""
         self.served = served
         self.plugin: Any = served.plugin
-        self.plugin.info = lambda: self.info
+        plain_info = self.plugin.info
+        self.plugin.info = lambda: plain_info() | self.info
         self.plugin.model.taught = {
             label: {"n_grasps": 20, "shape": shape, "size_mm": 6.4}
             for label, shape in (("bolt", "cylinder"), ("nut", "flat"), ("pin", "cylinder"))
