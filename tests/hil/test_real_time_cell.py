@@ -1,30 +1,162 @@
-"""The program against a simulated cell in another process: real time, pseudo-terminals."""
+"""The force loop and the program in processes of their own, over pseudo-terminals, in real time."""
 
 import contextlib
+import os
 import signal
-from collections.abc import Callable
+import threading
+import time
+from collections.abc import Callable, Iterator
 from math import radians
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from cell.build import Cell, build_cell
 from cell.config.file import changed_config, load_config, parse_config
+from cell.control.plan import GraspStep, Pose
+from cell.control.states import CellState
+from cell.errors import CellStateError, CellStopped, HandLost
+from cell.hand.client import HandProcess
 from cell.recording.reader import read_recording
 from cell.runtime.goals import TeachGoal
 from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.worker import JobFailed
-from gripper.errors import ServoFault
+from gripper.force.ramp import ForceRamp
+from gripper.values.outcome import GraspResult
+from gripper.values.state import Cycle, GripperPhase
 from pytest_tactile_cell.process import CellProcess
 from tests.faults.campaign import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
-from tests.hil.program import CONFIG, SEQUENCE, first, run
+from tests.hil.program import CONFIG, SEQUENCE, first, gone, run
 from tests.waiting import LIMIT_S, until
 
 pytestmark = pytest.mark.real_time
 
+STEP = GraspStep(pose=Pose(), force_n=6.0)
+
+
+@pytest.fixture(scope="module")
+def simulator(free_machine: None) -> Iterator[CellProcess]:
+    one = CellProcess(parse_config(CONFIG + SEQUENCE, source="test"))
+    first(one.pid)
+    yield one
+    one.end()
+
 
 @pytest.fixture
-def simulator(free_machine: None, cell_process: Callable[..., CellProcess]) -> CellProcess:
+def make_cell(simulator: CellProcess, tmp_path: Path) -> Iterator[Callable[[], Cell]]:
+    """Return the maker of a cell with its loop in a process; what it holds is let go at last."""
+    cells: list[Cell] = []
+
+    def make() -> Cell:
+        folder = tmp_path / f"run{len(cells)}"
+        folder.mkdir()
+        cells.append(build_cell(load_config(simulator.config_path), folder=folder))
+        return cells[-1]
+
+    yield make
+    for cell in cells:
+        with contextlib.suppress(HandLost):
+            cell.close()
+    with contextlib.closing(HandProcess(load_config(simulator.config_path))) as hand:
+        hand.start()
+        if hand.phase is not GripperPhase.OFF:
+            hand.release()
+        hand.shutdown()
+
+
+def test_a_job_a_stop_and_the_release(make_cell, simulator) -> None:
+    cell = make_cell()
+    controller, hand = cell.controller, cell.controller.hand
+    assert isinstance(hand, HandProcess)
+    pid = hand.pid
+    with pytest.raises(CellStateError, match="process of its own"):
+        _ = cell.local_hand
+    controller.start()
+    controller.moves.present("box")
+    record = controller.grasp(GraspStep(pose=Pose(), force_n=3.0), label="box")
+    assert record.outcome.result is GraspResult.FORCE_REACHED
+    assert record.grasp.n_frames > 20
+    assert not record.grasp.counts.flags.writeable
+    assert len(record.cycles) > 60
+
+    told_s: list[float] = []
+
+    def cancel() -> None:
+        until(lambda: simulator.grip_n() > 2.4)
+        told_s.append(time.monotonic())
+        controller.life.cancel()
+
+    thread = threading.Thread(target=cancel)
+    thread.start()
+    with pytest.raises(CellStopped, match="grip is kept"):
+        controller.grasp(STEP)
+    thread.join()
+    assert time.monotonic() - told_s[0] < 0.2
+    assert controller.life.state is CellState.HELD
+    assert controller.life.holding
+    # The program sleeps: the loop ticks by itself, beyond the servos' watchdog of 0.5 s.
+    threading.Event().wait(0.8)
+    controller.life.tick()
+    assert simulator.grip_n() > 0.8
+    controller.release()
+    assert simulator.grip_n() == 0.0
+
+    def end_at_3_n(cycle: Cycle, _frames: Any) -> None:
+        if cycle.setpoint_n >= 3.0:
+            hand.end_ramp()
+
+    outcome = hand.grasp(ForceRamp.linear(8.0, 5.0), end_at_3_n)
+    assert outcome.ended_early
+    assert 2.0 < simulator.grip_n() < 6.0
+    hand.end_ramp()
+    hand.release()
+    assert hand.phase is GripperPhase.IDLE
+
+    recording = cell.recording_path
+    cell.close()
+    assert gone(pid)
+    loop = cell.health()["loop"]
+    assert loop["cycles"] > 100
+    assert 0.0 < loop["lateness_p50_s"] <= loop["lateness_p99_s"] <= loop["lateness_max_s"]
+    assert 5e-4 < loop["transaction_p50_s"] < 0.01
+    assert 1e-3 < loop["sensor_age_max_s"] < 0.3
+    assert loop["undelivered"] == 0
+    stored = read_recording(recording)
+    assert stored.complete
+    assert (len(stored.grasps), len(stored.statistics)) == (1, 3)
+    assert stored.statistics[-1]["cycles"] == loop["cycles"]
+
+
+def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(make_cell, simulator) -> None:
+    cell = make_cell()
+    controller, hand = cell.controller, cell.controller.hand
+    controller.start()
+    controller.moves.present("box")
+    controller.grip(5.0, Pose())
+    os.kill(hand.pid, signal.SIGTERM)
+    with pytest.raises(HandLost, match=r"asked to end \(SIGTERM\); a held part stays held"):
+        until(controller.life.tick)
+    assert simulator.grip_n() > 0.8
+    controller.life.clear()
+    controller.life.reset()
+    controller.release_held()
+
+    hand._silence_s = 0.5
+    os.kill(hand.pid, signal.SIGSTOP)
+    stopped = hand.pid
+    begin_s = time.monotonic()
+    with pytest.raises(HandLost, match=r"has sent nothing for 0\.5 s"):
+        hand.release()
+    assert time.monotonic() - begin_s < 8.0
+    assert gone(stopped)
+
+
+# -- The program against a simulated cell of each test ---------------------------------------------
+
+
+@pytest.fixture
+def new_cell(free_machine: None, cell_process: Callable[..., CellProcess]) -> CellProcess:
     one = cell_process(parse_config(CONFIG + SEQUENCE, source="test"))
     first(one.pid)
     return one
@@ -36,65 +168,39 @@ def teaching(simulator: CellProcess, folder: Path) -> tuple[Any, ...]:
     return (*command, "-o", folder / "d.npz", "--out", folder / "out")
 
 
-def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(simulator, tmp_path) -> None:
+def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(new_cell, tmp_path) -> None:
     def interrupt(client: Any) -> None:
-        simulator.wait_for_grip(2.4)
+        new_cell.wait_for_grip(2.4)
         client.send_signal(signal.SIGINT)
 
-    said = run(*teaching(simulator, tmp_path), code=1, meanwhile=interrupt)
+    said = run(*teaching(new_cell, tmp_path), code=1, meanwhile=interrupt)
     assert "the grip is kept until it is released on purpose. Recording so far: " in said
     assert "Traceback" not in said
     assert "Force loop: " in said
     (recording,) = (tmp_path / "out").glob("teach-*/recording.mcap")
     assert read_recording(recording).complete
-    held_n = simulator.grip_n()
+    held_n = new_cell.grip_n()
     assert held_n > 0.8
 
-    said = run(*teaching(simulator, tmp_path), code=1)
+    said = run(*teaching(new_cell, tmp_path), code=1)
     assert "a part may be in the grip; nothing was moved" in said
     assert "tactile-cell hand release" in said
-    assert simulator.grip_n() == pytest.approx(held_n, abs=0.5)
+    assert new_cell.grip_n() == pytest.approx(held_n, abs=0.5)
 
-    said = run("hand", "release", "--confirm", "--config", simulator.config_path)
+    said = run("hand", "release", "--confirm", "--config", new_cell.config_path)
     assert "the fingers are open" in said
-    assert simulator.grip_n() == 0.0
-
-
-def test_a_part_that_one_finger_holds_alone_is_let_go(simulator, tmp_path) -> None:
-    config = ("--config", simulator.config_path)
-    simulator.ask(inject="servo1.overload@contact+0.1s")
-    said = run(*teaching(simulator, tmp_path), code=1)
-    assert "Hardware Error Status 0x20: overload" in said
-    assert "one of them silent or without torque; a part may still be gripped" in said
-    assert "the grip is kept" not in said
-    assert f"tactile-cell hand clear --config {simulator.config_path} --reboot" in said
-    assert simulator.grip_n() > 0.5
-
-    with TactileCellPlugin(simulator.config_path) as plugin:
-        assert plugin.status().state == "ABORTED"
-        assert "servo 1 has no torque (overload)" in str(plugin.status().fault)
-        with pytest.raises(ServoFault, match="clear it with a reboot"):
-            plugin.clear(LIMIT_S)
-    assert simulator.grip_n() > 0.5
-
-    said = run("doctor", *config, code=1)
-    assert "fail servo torque: servo 1 has no torque (overload); servo 2 has its torque on" in said
-    said = run("hand", "release", "--confirm", *config)
-    assert "the finger of servo 2 is open, the other one was not moved: servo 1 has no" in said
-    assert simulator.grip_n() < 0.2
-    assert "after the reboot servo 1 has no torque" in run("hand", "clear", "--reboot", *config)
-    run("doctor", *config)
+    assert new_cell.grip_n() == 0.0
 
 
 def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_servos(
-    simulator, tmp_path
+    new_cell, tmp_path
 ) -> None:
     """The two lines one after the other: each is enough for what it carries."""
-    config = ("--config", simulator.config_path)
-    release = f"tactile-cell hand release --config {simulator.config_path} --confirm"
-    unplugged = simulator.inject("can.unplugged@contact+0.3s")
-    assert release in run(*teaching(simulator, tmp_path), code=1)
-    held_n = simulator.grip_n()
+    config = ("--config", new_cell.config_path)
+    release = f"tactile-cell hand release --config {new_cell.config_path} --confirm"
+    unplugged = new_cell.inject("can.unplugged@contact+0.3s")
+    assert release in run(*teaching(new_cell, tmp_path), code=1)
+    held_n = new_cell.grip_n()
     assert held_n > 0.5
 
     said = run("doctor", *config, code=1)
@@ -106,19 +212,19 @@ def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_
     assert release in said
 
     unplugged.clear()
-    simulator.inject("servos.unplugged")
+    new_cell.inject("servos.unplugged")
     said = run("doctor", *config, code=1)
     assert "fail servo torque: cannot open serial port" in said
     assert "it is unknown whether a part is held" in said
     assert "warn pads' force: about " in said
     assert "a part may be held" in said
     assert "cannot open serial port" in run("hand", "release", "--confirm", *config, code=1)
-    assert simulator.grip_n() == pytest.approx(held_n, abs=0.5)
+    assert new_cell.grip_n() == pytest.approx(held_n, abs=0.5)
 
-    simulator.ask(clear="servos.unplugged")
-    simulator.inject("can.unplugged")
+    new_cell.ask(clear="servos.unplugged")
+    new_cell.inject("can.unplugged")
     assert "the fingers are open" in run("hand", "release", "--confirm", *config)
-    assert simulator.grip_n() == 0.0
+    assert new_cell.grip_n() == 0.0
 
 
 # -- Axes of a simulated cell: they bring the object, and stop at a fault --------------------------

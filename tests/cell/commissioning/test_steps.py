@@ -1,38 +1,56 @@
-"""Steps servos, control unit, first force: what is new, wrong or refused; nothing moves unseen."""
+"""Steps of the wizard: what is new, wrong or refused in each; nothing moves unseen."""
 
 import json
 import re
 from collections.abc import Iterator
+from dataclasses import replace
+from math import asin, radians, sin
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import WizardAborted
+from cell.commissioning.engine import StepFailed, WizardAborted
 from cell.commissioning.findings import Notes, Verdict
-from cell.commissioning.fingers import FINGERS
+from cell.commissioning.fingers import FINGERS, KINDS, fit_linkages
 from cell.commissioning.first_force import FIRST_FORCE
-from cell.commissioning.pads import PADS_AT_REST
+from cell.commissioning.pads import (
+    LAW,
+    PADS_AT_REST,
+    PADS_PRESSED,
+    fit_table,
+    judge_law,
+    judge_rest,
+    table_parts,
+)
 from cell.commissioning.servos import SERVOS, backup_file, restore
 from cell.commissioning.unit import UNIT
+from cell.config.file import changed_config
+from cell.config.tactile import TactileConfig
 from cell.control.self_zero import stored_zeros
 from cell.errors import CellError
 from cell.formats import SERVO_BACKUP, write_json
 from gripper.errors import GripperError
+from gripper.servos.goal_limits import GoalWriter
 from gripper.settings import largest_setpoint_n
 from simulator.can.control_unit import ControlUnitSettings
 from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
 from simulator.devices import SimulatedDrive
-from simulator.settings import SimulatorSettings
-from simulator.world.taxels import NoiseModel
+from simulator.servo.mechanics import RackLinkage, ServoMount
+from simulator.settings import SimulatedServoSettings, SimulatorSettings
+from simulator.world.taxels import NoiseModel, SensorLaw
 from tactile.can.bus import CanBus
 from tactile.errors import BusNotOpened
-from tactile.layout import inner_pads, pinch_layout
+from tactile.layout import PadMount, inner_pads, paper_layout, pinch_layout
+from tactile.sensor.calibration import LinearCalibration, TableCalibration
+from tactile.sensor.settings import SensorSettings
 from tests.cell.commissioning.conftest import MakeStand, Stand
 from tests.cell.commissioning.hands import Script
 from tests.marks import LONG
+from tests.tactile.conftest import counts_of
 
 PORT = "/dev/ttyUSB0"
 
@@ -419,3 +437,393 @@ def test_the_interfaces_of_the_system_have_the_bit_rate_that_is_set(stand, monke
     (why,) = stand.run(UNIT).lines
     assert "No CAN traffic and no reply on can7 (socketcan) at 500,000 bit/s" in why
     assert "set the rate of the unit with `ip link set can7`" in why
+
+
+# -- Fingers of badly mounted servos: linkage, directions and zeros by hand, the first motion ------
+
+
+BLOCKS_M = (0.010, 0.030)
+
+
+def on_parallel(size_m: float, link_m: float, closed_rad: float = 0.0) -> float:
+    """Return the angle of links on a block."""
+    return asin(size_m / 2 / link_m + sin(closed_rad)) - closed_rad
+
+
+PARALLEL = [on_parallel(m, 0.03) for m in BLOCKS_M]
+ASKEW = [on_parallel(m, 0.04, radians(35)) for m in BLOCKS_M]
+
+
+@pytest.mark.parametrize(
+    ("angles_rad", "sizes_m", "best"),
+    [
+        (PARALLEL, BLOCKS_M, "parallel"),
+        ([m / 2 / 0.01 for m in BLOCKS_M], BLOCKS_M, "pinion"),
+        (ASKEW, BLOCKS_M, "swinging"),
+        # Long links hardly turn, and one block fits every kind: the person decides.
+        ([on_parallel(m, 0.06) for m in BLOCKS_M], BLOCKS_M, None),
+        (PARALLEL[1:], BLOCKS_M[1:], None),
+    ],
+)
+def test_each_kind_of_linkage_is_found_where_the_measurements_tell_them_apart(
+    angles_rad, sizes_m, best
+) -> None:
+    fits, kind = fit_linkages([[angle, angle] for angle in angles_rad], sizes_m)
+    assert kind == best
+    assert list(fits) == [*KINDS][: 1 + len(sizes_m)]
+    fit = fits[best or "parallel"]
+    assert fit.linkage.aperture_m([fit.closed_rad] * 2) == pytest.approx(0.0, abs=1e-6)
+    on_block_rad = fit.closed_rad + angles_rad[0]
+    assert fit.linkage.aperture_m([on_block_rad] * 2) == pytest.approx(sizes_m[0], abs=1e-6)
+
+
+def with_servos_set_up(make_stand: MakeStand, *faults: str) -> Stand:
+    stand = make_stand(*faults, aperture_m=0.03)
+    for servo in stand.cell.devices.servo_bus.servos:
+        servo.registers.put("operating_mode", 5)
+    return stand
+
+
+@pytest.fixture
+def ready(make_stand: MakeStand) -> Stand:
+    return with_servos_set_up(make_stand)
+
+
+def test_one_servo_with_a_pinion(make_stand) -> None:
+    stand = make_stand(
+        servos=(SimulatedServoSettings(servo_id=1, mount=ServoMount(direction=-1)),),
+        linkage=RackLinkage(pinion_radius_m=0.02),
+    )
+    servos = stand.run(SERVOS, servos__count="1").settings
+    stand.bench.settings = {**stand.bench.settings, **servos}
+    notes = stand.passes(FINGERS, fingers__kind="pinion")
+    assert "fingers.open_second" not in stand.person.script.asked
+    assert notes.settings["gripper.servos"][0]["direction"] == -1
+    linkage = notes.settings["gripper.linkage"]
+    assert linkage["kind"] == "rack_pinion"
+    assert linkage["pinion_radius_mm"] == pytest.approx(20.0, rel=0.02)
+
+
+def test_directions_zero_and_linkage_of_badly_mounted_servos(make_stand) -> None:
+    stand = with_servos_set_up(make_stand, "servo2.turned", "servo1.horn=164")
+    second_first = {"Open one finger": ("open 1", ""), "open the other": ("open 0", "")}
+    notes = stand.passes(FINGERS, practice=second_first)
+    first, second = notes.settings["gripper.servos"]
+    assert (first["id"], first["direction"]) == (2, -1)
+    assert (second["id"], second["direction"]) == (1, 1)
+    assert second["zero_pulse"] == pytest.approx(2048 + 164, abs=2)
+    assert first["zero_pulse"] == pytest.approx(2048, abs=2)
+    linkage = notes.settings["gripper.linkage"]
+    assert linkage["kind"] == "parallel_linkage"
+    assert linkage["link_mm"] == pytest.approx(60.0, rel=0.02)
+    assert notes.values["residual_mm"] < 0.3
+    inverted, mounted = notes.corrected
+    assert inverted == "servo 2 turns the other way: its direction was +1, is now -1"
+    assert "servo 1: its horn sits +14.4 deg off: its zero was 2048 pulses, is now 221" in mounted
+    assert "opened by" in "\n".join(notes.lines)
+    assert stand.torques == [0, 0]
+    assert stand.person.script.watched
+
+
+def test_a_wrong_linkage_and_opening_of_the_config_are_named(ready) -> None:
+    wrong = {
+        "gripper.linkage": {"kind": "rack_pinion", "pinion_radius_mm": 40.0},
+        "gripper.aperture_open_mm": 150.0,
+        "gripper.contact_timeout_s": 11.0,
+    }
+    ready.bench.base = changed_config(ready.bench.base, wrong)
+    ready.bench.settings = {k: v for k, v in ready.bench.settings.items() if "aperture" not in k}
+    linkage, opening = ready.passes(FINGERS).corrected
+    assert "the linkage was rack_pinion, pinion_radius_mm 40" in linkage
+    assert "is now parallel_linkage, link_mm 60." in linkage
+    assert opening.startswith("gripper.aperture_open_mm was 150, is now 11")
+
+
+@pytest.mark.parametrize("tight", ["close", LONG("open")])
+def test_a_first_motion_begins_with_room_on_both_sides(ready, tight) -> None:
+    ready.passes(
+        FINGERS, fingers__free=[ready.person.does("empty", tight), ready.person.does("half")]
+    )
+    assert ready.person.script.asked.count("fingers.free") == 2
+
+
+@pytest.mark.long
+def test_stiff_servos_pass_the_first_motion(ready) -> None:
+    for motor in ready.cell.devices.mechanics.motors:
+        motor.friction_factor = 2.0  # 3.3 times the catalogue for servo 2, 4.1 are plausible
+    ready.passes(FINGERS)
+
+
+def pinched(ready: Stand) -> None:
+    ready.cell.devices.mechanics.motors[1].friction_factor = 22.0
+
+
+def drifting(ready: Stand) -> None:
+    ready.cell.inject("servo1.drift=-0.2")
+
+
+@pytest.mark.parametrize(
+    ("key", "reply", "named"),
+    [
+        # Both move from half way.
+        ("close", "half", "servo 1 by 50.4 deg, servo 2 by 29.5"),
+        ("open_second", "", r"moved by \d pulses only"),
+        # Something was between the pads when they were to touch.
+        ("close", "block 20", r"finger 0 by 4\.[6-9] deg, finger 1 by 4\.[6-9] deg"),
+        LONG("free", pinched, r"finger 1 \(servo 2\): did not move"),
+        ("free", drifting, r"finger 0 \(servo 1\): closed instead of opening"),
+        ("opened", "no", "what the servos report and what the fingers do differ"),
+    ],
+)
+def test_fingers_that_do_not_move_as_asked_fail_the_step_and_are_limp(
+    ready, key, reply, named
+) -> None:
+    answers = {f"fingers.{key}": ready.person.does(reply) if reply else lambda: None}
+    if reply == "half":
+        answers["fingers.open_first"] = ready.person.does("close", "open 0")
+    if key == "free":
+        answers["fingers.free"] = lambda: (ready.person.does("empty", "half")(), reply(ready))
+    notes = ready.run(FINGERS, **(answers if key != "opened" else {"fingers.opened": reply}))
+    assert notes.status is Verdict.FAIL
+    assert re.search(named, notes.lines[-1])
+    assert notes.settings == {}
+    assert ready.torques == [0, 0]
+    moved = key in ("free", "opened")
+    assert bool(ready.person.script.writes) == moved
+    if not moved:
+        ready.passes(FINGERS)
+
+
+def test_no_linkage_is_proposed_where_the_measurements_do_not_tell(ready) -> None:
+    with pytest.raises(AssertionError, match="no reply"):
+        ready.run(FINGERS, practice={"How do the fingers move": ("", "")})
+    (question,) = [
+        question for question in ready.person.script.questions if question.key == "fingers.kind"
+    ]
+    assert question.default is None
+    assert list(question.choices) == list(KINDS)
+    for kind, text in question.choices.items():
+        assert text.endswith(KINDS[kind].partition("\n")[2])
+
+
+def test_a_thickness_that_was_typed_wrong_is_found(ready) -> None:
+    replies: dict[str, Any] = {
+        "fingers.on_block2": ready.person.does("block 30"),
+        "fingers.kind": "parallel",
+    }
+    notes = ready.run(FINGERS, fingers__block2=50.0, **replies)
+    assert notes.status is Verdict.FAIL
+    assert "was a thickness typed wrong" in notes.lines[0]
+    assert "fingers.free" not in ready.person.script.asked
+    # A smaller error warns.
+    notes = ready.run(FINGERS, fingers__block2=33.0, **replies)
+    assert notes.status is Verdict.WARN
+    assert "the residual is above 0.5 mm: measure the blocks again" in "\n".join(notes.lines)
+
+
+def test_one_block_is_enough_and_worth_a_word(ready) -> None:
+    notes = ready.run(FINGERS, fingers__block2=0.0)
+    assert notes.status is Verdict.WARN
+    assert notes.settings["gripper.linkage"]["link_mm"] == pytest.approx(60.0, rel=0.05)
+
+
+def test_leaving_at_each_question_leaves_no_torque(ready) -> None:
+    ready.run(FINGERS)
+    for place in [*ready.person.script.asked, "approve"]:
+        with pytest.raises(WizardAborted):
+            ready.run(FINGERS, leave_at=[place])
+        assert ready.torques == [0, 0], place
+
+
+def test_an_interruption_of_the_first_motion_leaves_the_fingers_limp(ready, monkeypatch) -> None:
+    write, seen = GoalWriter.write, []
+
+    def interrupted(writer: GoalWriter, goals: Any, state: Any) -> None:
+        seen.append(ready.torques)
+        if len(seen) > 20:
+            raise KeyboardInterrupt
+        write(writer, goals, state)
+
+    monkeypatch.setattr(GoalWriter, "write", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        ready.run(FINGERS)
+    assert seen[-1] == [1, 1]
+    assert ready.torques == [0, 0]
+
+
+# -- Pads at rest, and pressed by a fingertip: what is wrong is named and set ----------------------
+
+
+PRESSED = PADS_PRESSED
+
+
+@pytest.mark.parametrize("layout", [pinch_layout(), paper_layout()])
+def test_sound_pads_pass_without_a_word_at_rest_and_pressed(make_stand, layout) -> None:
+    stand = make_stand(layout=layout)
+    stand.knows(tactile__layout=layout.name)
+    finding = stand.passes(PADS_AT_REST)
+    assert len(finding.lines) == 1
+    assert finding.settings == {"tactile.board_serial_numbers": [1, 2]}
+    assert stand.passes(PRESSED).settings == {"tactile.mounting": []}
+    assert stand.person.script.asked == ["pads_pressed.press"] * layout.n_pads
+
+
+def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(make_stand) -> None:
+    finding = make_stand(unit=ControlUnitSettings(boards=(0, 0))).run(PADS_AT_REST)
+    assert finding.status is Verdict.WARN
+    assert "press each pad after every work" in "\n".join(finding.lines)
+    assert finding.settings == {"tactile.board_serial_numbers": None}
+
+
+TURNED = [PadMount(pad=p, sent_as=p, rows_mirrored=True, columns_mirrored=True) for p in (0, 1)]
+EXCHANGED = [PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0)]
+BOTH = [replace(pad, rows_mirrored=True, columns_mirrored=True) for pad in EXCHANGED]
+ROWS = [PadMount(pad=1, sent_as=1, rows_mirrored=True)]
+COLUMNS = [PadMount(pad=0, sent_as=0, columns_mirrored=True)]
+
+
+@pytest.mark.parametrize(
+    ("mounts", "named"),
+    [
+        (EXCHANGED, "finger0.inner in that of finger1.inner, finger1.inner in"),
+        (BOTH, "finger0.inner in that of finger1.inner, finger1.inner in"),
+        (TURNED[:1], "finger0.inner is turned by 180 degrees"),
+        (ROWS, "The rows of finger1.inner run the other way"),
+        (COLUMNS, "The columns of finger0.inner run the other way"),
+    ],
+)
+def test_pads_that_sit_otherwise_are_found_named_and_set(make_stand, mounts, named) -> None:
+    finding = make_stand(mounts=mounts).run(PRESSED)
+    assert finding.status is Verdict.WARN
+    assert named in "\n".join(finding.lines)
+    set_mounts = [PadMount(**mount) for mount in finding.settings["tactile.mounting"]]
+    assert set_mounts == mounts
+
+
+def test_a_dead_pad_is_named_and_fails_the_step(stand) -> None:
+    finding = stand.run(PRESSED, pads_pressed__press=[stand.person.does("lift"), "skip", None])
+    assert finding.status is Verdict.FAIL
+    assert "finger0.inner was not found" in finding.lines[-1]
+    assert "No pad shows a fingertip" in stand.person.script.text
+    assert finding.settings == {}
+
+
+def test_the_wrong_pad_or_its_middle_is_asked_for_again(stand) -> None:
+    wrong = [stand.person.does(f"press finger{number}.inner") for number in (0, 1)]
+    stand.passes(PRESSED, pads_pressed__press=[None, *wrong, None])
+    assert stand.person.script.asked == ["pads_pressed.press"] * 4
+    assert "The patch is where finger0.inner was found" in stand.person.script.text
+    assert "in the middle of the pad" in stand.person.script.text
+
+
+@pytest.mark.parametrize(
+    ("noises", "force_per_count_n", "status", "named"),
+    [
+        ((20.0, 20.0), 1e-4, Verdict.PASS, ""),
+        ((10.0, 60.0), 1e-4, Verdict.WARN, "finger1.inner is noisy: "),
+        ((10.0, 60.0), 2e-3, Verdict.FAIL, "The force of finger1.inner at rest varies by 0."),
+    ],
+)
+def test_pads_of_much_noise_are_named(noises, force_per_count_n, status, named) -> None:
+    layout, generator = pinch_layout(), np.random.default_rng(0)
+    frames = generator.normal(250.0, np.repeat(noises, 78), (30, 156)).astype(np.uint16)
+    law, notes = LinearCalibration(force_per_count_n, layout.adc_max), Notes()
+    judge_rest(layout, law, frames, notes, limits=SensorSettings(), contact_force_n=0.3)
+    assert notes.status is status, notes.lines
+    assert named in "\n".join(notes.lines)
+
+
+# -- The law from counts to newtons: loads on both pads, and the factor that is set ----------------
+
+
+LOADS_N = (2.0, 5.0, 8.0)
+
+
+@pytest.mark.parametrize("measured", [1.0, 0.8, LONG(1.25)])
+def test_the_law_of_the_foam_is_right_or_named_and_set_right(make_stand, measured) -> None:
+    stand = make_stand(f"taxels.force_gain={measured}", layout=paper_layout())
+    stand.knows(tactile__layout="paper", tactile__tare_frames=60)
+    finding = stand.run(LAW)
+    if measured == 1.0:
+        assert (finding.status, finding.settings) == (Verdict.PASS, {})
+        assert finding.values["factor"] == pytest.approx(1.0, abs=0.05)
+        return
+    assert finding.status is Verdict.WARN
+    assert "The law was 2" in finding.lines[-1]
+    gain = finding.settings["tactile.calibration.gain"]
+    assert gain == pytest.approx(1.0 / measured, rel=0.06)
+    assert finding.corrected == [finding.lines[-1]]
+    assert f"tactile.calibration.gain was 1, is now {gain:.3g}" in finding.lines[-1]
+
+
+def test_a_linear_law_is_set_by_its_force_of_a_count(make_stand: MakeStand) -> None:
+    stand = make_stand(law=SensorLaw(full_scale_n=0.0012 * 4095))
+    law = {"kind": "linear", "force_per_count_n": 0.001}
+    stand.knows(tactile__tare_frames=60, tactile__calibration=law)
+    finding = stand.run(LAW)
+    assert finding.status is Verdict.WARN, finding.lines
+    force_per_count_n = finding.settings["tactile.calibration.force_per_count_n"]
+    assert force_per_count_n == pytest.approx(0.0012, rel=0.05)
+
+
+def test_without_a_scale_the_forces_are_unchecked(make_stand: MakeStand) -> None:
+    finding = make_stand().run(LAW, pads_law__with="skip")
+    assert finding.status is Verdict.WARN
+    assert "not checked" in finding.lines[0]
+
+
+@pytest.mark.parametrize(
+    ("loads", "named"),
+    [
+        ([[(1.0, 1.0), (3.0, 0.4), (6.0, 6.0)]] * 2, "do not fit one law"),
+        ([[(1.0, 2.0), (3.0, 3.0), (6.0, 3.6)]] * 2, "do not fit one law"),
+        ([[(1.0, 0.0), (3.0, 0.0)]] * 2, "the middle of each pad: the pads show no force"),
+    ],
+)
+def test_loads_that_are_no_law_fail(loads, named: str) -> None:
+    with pytest.raises(StepFailed, match=named):
+        judge_law(TactileConfig(), loads, notes := Notes())
+    assert not notes.settings
+
+
+def test_pads_that_differ_are_a_word_to_the_operator() -> None:
+    stand, other = [[(n, factor * n) for n in LOADS_N] for factor in (1.1, 0.92)]
+    judge_law(TactileConfig(), [stand, other], finding := Notes())
+    assert finding.status is Verdict.WARN
+    assert "The pads differ: factor 0.91 on finger 0, 1.09 on finger 1" in finding.lines[1]
+    assert finding.settings["tactile.pad_gains"] == pytest.approx([0.9255, 1.1065], abs=0.001)
+
+
+TRUE = TableCalibration((16.0, 32.0, 64.0, 128.0), (0.05, 0.12, 0.31, 0.9), 255)
+"""Law of pads whose taxels are less sensitive the more they are pressed."""
+
+
+def pressed(force_n: float, n_taxels: int) -> tuple[float, ...]:
+    """Return a load as a wrong straight law shows it, spread unevenly over taxels."""
+    share = np.linspace(1.0, 2.0, n_taxels)
+    counts = np.zeros(384)
+    counts[:n_taxels] = counts_of(TRUE, force_n * share / share.sum())
+    return force_n, 0.01 * float(counts.sum()), *table_parts(counts, 255)
+
+
+def test_loads_that_bend_make_a_table() -> None:
+    loads = [[pressed(force_n, n) for force_n, n in ((2.0, 4), (5.0, 25), (8.0, 9))]] * 2
+    tactile = TactileConfig.model_validate(
+        {"layout": "flexitac_12x32", "calibration": {"kind": "linear", "force_per_count_n": 0.01}}
+    )
+    judge_law(tactile, loads, finding := Notes(), 255)
+    law = finding.settings["tactile.calibration"]
+    assert law["kind"] == "table"
+    table = TableCalibration(tuple(law["counts"]), tuple(law["force_n"]), 255)
+    counts = np.array([40.0, 80.0, 110.0])
+    assert table.force_n(counts) == pytest.approx(TRUE.force_n(counts), rel=0.15)
+    assert finding.values["table_residual_n"] < 0.1
+    # The same loads under the table are right.
+    levers = [[(load[0], load[0], *load[2:]) for load in finger] for finger in loads]
+    judge_law(tactile, levers, again := Notes(), 255)
+    assert not again.settings
+
+
+def test_a_table_needs_loads_that_rise_with_the_counts() -> None:
+    with pytest.raises(ValueError, match="show no counts"):
+        fit_table([1.0, 2.0], [[0.0] * 9] * 2, 255)
