@@ -8,7 +8,6 @@ silent where the grasp ends without a fault. The limits were tuned on the seeds 
 """
 
 import random
-from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
 from typing import Any, NamedTuple
@@ -121,12 +120,9 @@ def drawn_harm(seed: int) -> tuple[str, ...]:
     return tuple(fault + begin for fault in faults) if seed % 2 else ()
 
 
-def trial(
-    seed: int, changes: Mapping[str, Any] | None = None, harm: tuple[str, ...] = ()
-) -> CapTrial:
-    """Grasp once with a config that is drawn, some values changed and some faults of the pads."""
-    draw = random.Random(-seed)
-    drawn = drawn_changes(seed) | dict(changes or {})
+def trial(seed: int, harm: tuple[str, ...] = ()) -> CapTrial:
+    """Grasp once with a config that is drawn and some faults of the pads."""
+    draw, drawn = random.Random(-seed), drawn_changes(seed)
     result = CapTrial(seed, draw.choice(tuple(_PARTS)), harm, float(drawn["gripper.force_max_n"]))
     try:
         config = changed_config(CellConfig(), drawn)
@@ -155,14 +151,11 @@ def trial(
     return result
 
 
-def _drawn_trial(seed: int) -> CapTrial:
-    return trial(seed, harm=drawn_harm(seed))
-
-
 def main(effort: float = 1.0) -> None:
     n = repeats(500, effort, least=5)
+    seeds = range(_FIRST_SEED, _FIRST_SEED + n)
     with ProcessPoolExecutor() as workers:
-        trials = list(workers.map(_drawn_trial, range(_FIRST_SEED, _FIRST_SEED + n)))
+        trials = list(workers.map(trial, seeds, map(drawn_harm, seeds)))
     gripped = [one for one in trials if not one.refused]
     broken = sorted((one for one in gripped if one.broken), key=lambda one: one.cap_n - one.true_n)
     errors = [one.error for one in gripped if one.error]

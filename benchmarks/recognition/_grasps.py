@@ -21,6 +21,7 @@ from cell.simulation import simulator_settings
 from recognition.evaluation.metrics import interval_by_object
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Recognizer
+from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 from simulator.world.shapes import PAPER_OBJECTS
 
 
@@ -82,6 +83,17 @@ def asked(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[JudgedAnswer]
     """Answer each grasp by itself."""
     posteriors = [(grasp.label, recognizer.posterior(grasp)) for grasp in grasps]
     return [JudgedAnswer(truth, truth in p.labels, p.best, p.name) for truth, p in posteriors]
+
+
+def followed(
+    recognizer: ForceRampRecognizer, grasps: Sequence[Grasp]
+) -> tuple[list[JudgedAnswer], ForceRampRecognizer]:
+    """Answer grasps in a random order and follow the drift through them; also what followed it."""
+    answers = list[JudgedAnswer]()
+    for i in np.random.default_rng(0).permutation(len(grasps)).tolist():
+        answers += asked(recognizer, [grasps[i]])
+        recognizer = recognizer.follow(grasps[i])
+    return answers, recognizer
 
 
 def figures(answers: Sequence[JudgedAnswer], groups: Sequence[object] | None = None) -> str:

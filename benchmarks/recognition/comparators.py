@@ -26,7 +26,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import StandardScaler
 
 from benchmarks._measure import line, repeats, share
-from benchmarks.recognition._grasps import asked, figures
+from benchmarks.recognition._grasps import asked, figures, followed
 from cell.recording.dataset import read_dataset
 from recognition.drift.drift import Drift, drift_text
 from recognition.evaluation.splits import a_day_later, chronological_split
@@ -277,9 +277,5 @@ def main(effort: float = 1.0, file: str | None = None) -> None:
     taught = make_trainer().fit(train)
     for drift in DRIFTS:
         moved = [a_day_later(drift.apply(grasp)) for grasp in test]
-        answers, day = [], taught
-        for i in np.random.default_rng(0).permutation(len(moved)).tolist():
-            answers += asked(day, [moved[i]])
-            day = day.follow(moved[i])
         line(f"  {drift_text(drift)}, each alone", figures(asked(taught, moved)))
-        line("  ... followed", figures(answers))
+        line("  ... followed", figures(followed(taught, moved)[0]))

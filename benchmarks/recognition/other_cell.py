@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks._measure import line, repeats
-from benchmarks.recognition._grasps import asked, cell_grasps, figures
+from benchmarks.recognition._grasps import asked, cell_grasps, figures, followed
 from cell.errors import CellError
 from cell.learning.training import GAUGE_GRASPS
 from gripper.errors import GripperError
@@ -95,10 +95,7 @@ def main(effort: float = 1.0) -> None:
         ("other cell, zeroed by itself", zeroed),
     ):
         line(f"  {what}", figures(asked(taught, grasps)))
-    answers, day = [], taught
-    for i in np.random.default_rng(0).permutation(len(test)).tolist():
-        answers += asked(day, [test[i]])
-        day = day.follow(test[i])
+    answers, day = followed(taught, test)
     line("  followed", figures(answers + asked(day, new)))
     every, groups = [], []
     for label in taught_objects:
