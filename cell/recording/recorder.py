@@ -4,6 +4,7 @@ import functools
 import itertools
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -274,13 +275,11 @@ class Recorder:
         """Begin a file with its description."""
         self._sink = sink
         self.fault, self._n_frames = None, 0
-        pads = self._pads
-        places = {name: getattr(pads, name) for name in ("pad_shape", "taxel_pad", "adc_max")}
         described = {
             "format": str(RECORDING),
             "wall_clock_start_ns": str(time.time_ns()),
             "monotonic_start_ns": str(schema.to_ns(self._clock.monotonic())),
-            "pads": schema.to_json(places | {"taxel_xy_m": pads.taxel_xy_m}).decode(),
+            "pads": schema.to_json(asdict(self._pads)).decode(),
         }
         self._writer = MessageWriter(sink, self._metadata | described)
         self.check()
