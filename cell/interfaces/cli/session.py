@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -290,14 +290,18 @@ def job_folder(directory: Path, job: str) -> Path:
 def _closing(plugin: TactileCellPlugin) -> Iterator[None]:
     """Close the cell at the end, also after Ctrl-C; print the timing of its loop."""
     try:
-        yield
-    finally:
         try:
-            plugin.close()
-        finally:
-            if plugin.cell.realtime:
-                hand = plugin.cell.controller.hand
-                print_line(loop_line(hand.statistics.loop, hand.period_s))
+            yield
+        except BaseException:
+            # The first error ends the command; a note names a recording that has stopped.
+            with suppress(RecordingError):
+                plugin.close()
+            raise
+        plugin.close()
+    finally:
+        if plugin.cell.realtime:
+            hand = plugin.cell.controller.hand
+            print_line(loop_line(hand.statistics.loop, hand.period_s))
 
 
 def _notes(plugin: TactileCellPlugin) -> list[str]:

@@ -238,6 +238,20 @@ def test_a_job_whose_recording_alone_fails_has_its_answer_and_fails(
     assert "No space left" in read_json(written)["health"]["recording"]
 
 
+def test_grasps_that_neither_data_set_nor_recording_has_are_lost_with_a_message(
+    quick, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setattr(sink.os, "fsync", raising(OSError(28, "No space left on device")))
+    monkeypatch.setattr("cell.build.Cell.recording_fault", property(lambda _cell: "it is full"))
+    options = ("-o", str(tmp_path / "x.npz"), "-c", str(quick))
+    result = RUNNER.invoke(app, ["teach", "box", "-n", "1", *options])
+    assert "1 of 1 grasps" not in result.stdout
+    said = str(result.exception)
+    assert "x.npz: no space left" in said
+    assert "grasps that are not saved: 1; " in said
+    assert "recording.mcap has stopped, too: free space" in said
+
+
 def test_the_command_that_lets_go_of_a_kept_part_is_printed(
     config, model, meddle, monkeypatch
 ) -> None:

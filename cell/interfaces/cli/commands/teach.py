@@ -117,9 +117,12 @@ def _teach_grasps(
                 try:
                     append_to_dataset(dataset, before, taken, series)
                 except DatasetError as error:
+                    recording = cell.plugin.recording_path
+                    step = f"they are in {recording}: use it with `tactile-cell model train`"
+                    if cell.plugin.cell.recording_fault:
+                        step = f"{recording} has stopped, too: free space, and teach again"
                     raise DatasetError(
-                        f"{error}; the grasps are in {cell.plugin.recording_path}: use it with "
-                        "`tactile-cell model train`"
+                        f"{error}; grasps that are not saved: {len(taken)}; {step}"
                     ) from error
                 missed = f" ({taught['missed']} found no part)" if taught["missed"] else ""
                 print_line(
