@@ -112,19 +112,16 @@ class _TwoSidedSum:
     """Cumulative sums of a difference beyond its limits, one in each direction."""
 
     def __init__(self) -> None:
-        self._above = self._below = 0.0
+        self._sums = [0.0, 0.0]
 
     def limit_exceeded(self, apart: float, above: float, below: float, noise: float) -> float:
         """Add a difference; return the limit that the differences exceed by now, else 0.0."""
-        self._above = _added(self._above, (apart - above) / noise)
-        self._below = _added(self._below, (-apart - below) / noise)
-        if self._above > _DECISION_SIGMAS:
-            return above
-        return below if self._below > _DECISION_SIGMAS else 0.0
-
-
-def _added(total: float, beyond: float) -> float:
-    return max(total + min(beyond, _OUTLIER_SIGMAS) - _REFERENCE_SIGMAS, 0.0)
+        for side, (beyond, limit) in enumerate([(apart - above, above), (-apart - below, below)]):
+            step = min(beyond / noise, _OUTLIER_SIGMAS) - _REFERENCE_SIGMAS
+            self._sums[side] = max(self._sums[side] + step, 0.0)
+            if self._sums[side] > _DECISION_SIGMAS:
+                return limit
+        return 0.0
 
 
 class ForceCheck:
