@@ -18,8 +18,8 @@ from gripper.force.timing import LoopStatistics, LoopTimer
 from gripper.mechanics.impact import most_peak_n
 from gripper.mechanics.kinematics import opening_steps_m
 from gripper.servos.bus_loss import BusLossMonitor
-from gripper.servos.goal_limits import ServoGoal
-from gripper.servos.group import Servos, holding_position, lowered
+from gripper.servos.goal_limits import ServoGoal, standing
+from gripper.servos.group import Servos, lowered
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample, ForceSensor
 from gripper.values.state import Cycle, GripperPhase, Observer, ServoFeedback
@@ -277,7 +277,7 @@ class LoopRunner:
                 left = max(least, left - settings.period_s / _LOWERING_S)
                 servos.goals.write(lowered(goals, servos.goals.last, left, state, settings), state)
             else:
-                servos.goals.write(holding_position(asked, state, share), state)
+                servos.goals.write(standing(asked, state, share), state)
             self._clock.sleep(settings.period_s)
             before, state = state, servos.read()
             if any(map(gt, state.angles_rad, before.angles_rad)):
@@ -286,7 +286,7 @@ class LoopRunner:
             if sample is not None and (sample.valid or sample.at_least):
                 servos.goals.note_force(sample)
         if opened_s > -inf:
-            servos.goals.write(holding_position(asked, state, share), state)
+            servos.goals.write(standing(asked, state, share), state)
 
     def _check_force(self, now_s: float, fresh_s: float, sample: ForceSample | None) -> None:
         if sample is not None:

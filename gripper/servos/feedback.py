@@ -211,7 +211,6 @@ class TickClock:
         self._tick_ms, self._tick_s = tick_ms, 0.0
         self._latest_s = received_s
         self._rate = _LARGEST_RATE
-        self._refused = False
         self._mark = self._next_mark = TickMark(0.0, sent_s, received_s)
 
     def check(self, tick_ms: int, sent_s: float, received_s: float) -> BusCorrupt | None:
@@ -238,12 +237,14 @@ class TickClock:
                 f"the tick of servo {self._servo_id} moved by {passed_s * 1e3:.0f} ms while at "
                 f"most {most_s * 1e3:.0f} ms passed: the servo has restarted"
             )
-        self._latest_s += passed_s * self._largest_rate(passed_s)
+        # After a pause the bound need not be sharp.
+        self._latest_s += passed_s * (_LARGEST_RATE if passed_s > _TICK_PAUSE_S else self._rate)
         self._tick_ms = tick_ms
         self._tick_s += passed_s
         old_s = sent_s - self._latest_s
-        self._refused = old_s > _TICK_LAG_S
-        if self._refused:
+        if old_s > _TICK_LAG_S:
+            likely = self._mark.rate(self._tick_s, self._latest_s - self._mark.latest_s + _TICK_S)
+            self._rate = min(self._rate, likely)
             return BusCorrupt(
                 f"an old answer of servo {self._servo_id}: by its tick it is at least "
                 f"{old_s * 1e3:.0f} ms older than the request; something on the line delays or "
@@ -254,21 +255,10 @@ class TickClock:
         if self._tick_s - self._next_mark.tick_s >= _TICK_RATE_TIME_S:
             self._mark = self._next_mark
             self._next_mark = TickMark(self._tick_s, sent_s, self._latest_s)
-            self._rate = _LARGEST_RATE
         # Both ends may be off by the allowed age of an answer.
         host_s = received_s - self._mark.sent_s + 2.0 * _TICK_LAG_S
-        self._rate = min(self._rate, self._mark.rate(self._tick_s, host_s))
+        self._rate = self._mark.rate(self._tick_s, host_s)
         return None
-
-    def _largest_rate(self, passed_s: float) -> float:
-        """Return the largest rate since the last answer, by the progress of the tick in s."""
-        if passed_s > _TICK_PAUSE_S:
-            # After a pause the bound need not be sharp.
-            return _LARGEST_RATE
-        if not self._refused:
-            return self._rate
-        likely = self._mark.rate(self._tick_s, self._latest_s - self._mark.latest_s + _TICK_S)
-        return min(likely, self._rate)
 
 
 class TickMark(NamedTuple):

@@ -86,10 +86,17 @@ class ServoGoal(NamedTuple):
         return self.rest or self
 
 
-def standing(goals: Sequence[ServoGoal], state: ServoFeedback) -> tuple[ServoGoal, ...]:
-    """Return goals at the present positions, with the same currents."""
-    pairs = zip(goals, state.angles_rad, strict=True)
-    return tuple(goal._replace(angle_rad=angle_rad) for goal, angle_rad in pairs)
+def standing(
+    goals: Sequence[ServoGoal], state: ServoFeedback, share: float = 1.0
+) -> tuple[ServoGoal, ...]:
+    """Return goals at the present positions, with a share of the currents.
+
+    No finger pushes on, and none yields by more than position control of the servos does.
+    """
+    return tuple(
+        goal._replace(angle_rad=angle_rad, current_a=share * goal.current_a)
+        for goal, angle_rad in zip(goals, state.angles_rad, strict=True)
+    )
 
 
 class GoalWriter:
@@ -111,6 +118,8 @@ class GoalWriter:
         self._linkage = linkage
         self._settings = settings
         self._clock = clock
+        self.newest_force: ForceSample | None = None
+        """The newest force sample; None before the first one."""
         self._forces = RecentForce()
         self._stood_a: dict[int, float] = {}
         self._pushes: dict[int, int] = {}
@@ -177,7 +186,14 @@ class GoalWriter:
 
     def note_force(self, sample: ForceSample) -> None:
         """Add the newest force sample; the same sample may come again."""
-        self._forces.push(sample)
+        if self._forces.push(sample) is not None:
+            self.newest_force = sample
+
+    def fresh_force(self, now_s: float) -> ForceSample | None:
+        """Return the newest force sample; None where it is older than ``force_stale_s``."""
+        sample = self.newest_force
+        fresh = sample is not None and now_s - sample.t_s <= self._settings.force_stale_s
+        return sample if fresh else None
 
     def bounded(
         self, goals: Sequence[ServoGoal], state: ServoFeedback, *, final: bool = False
@@ -275,11 +291,6 @@ class GoalWriter:
         return goal._replace(angle_rad=angle_rad, current_a=most_a)
 
     @property
-    def newest_force(self) -> ForceSample | None:
-        """The newest force sample; None before the first one."""
-        return self._forces.newest if self._forces else None
-
-    @property
     def newest_forces_n(self) -> tuple[float, float]:
         """Mean of the newest samples in N on finger 0 and finger 1; 0 without one."""
         newest = list(islice(self._forces, _SURE_SAMPLES))
@@ -287,10 +298,24 @@ class GoalWriter:
         return first_n / max(1, len(newest)), second_n / max(1, len(newest))
 
     def force_is_too_high(self) -> bool:
-        """Return whether the measured force is above the cap by more than noise."""
-        for sample in self._forces:
-            if max(sample.force_n) > self._settings.force_max_n:
-                return self._excess_n() > 0.0
+        """Return whether the measured force is above the cap by more than noise.
+
+        The allowance for noise falls with the number of samples: a large excess shows in the first
+        sample.
+        """
+        settings, n_samples = self._settings, len(self._forces)
+        first_n = second_n = variance_n2 = 0.0
+        for n, sample in enumerate(self._forces, 1):
+            first_n += sample.force_n[0]
+            second_n += sample.force_n[1]
+            variance_n2 += sample.noise_n**2
+            excess_n = max(first_n, second_n) / n - settings.force_max_n
+            if excess_n <= 0.0:
+                continue
+            few = n < n_samples
+            times = min(_SINGLE_SAMPLE, sqrt(variance_n2) / n / QUIET_N) if few else 1.0
+            if excess_n > times * settings.force_noise_n:
+                return True
         return False
 
     def check_force(self, *, noise_excluded: bool = False) -> None:
@@ -346,31 +371,9 @@ class GoalWriter:
                     f"a servo has {state.temperature_c:.0f} C, temperature_max_c is "
                     f"{settings.temperature_max_c:g}: let it cool down"
                 )
-            newest = self.newest_force
-            if newest is not None and now_s - newest.t_s <= settings.force_stale_s:
+            if self.fresh_force(now_s) is not None:
                 self.check_force()
         self._previous_a = [max(goal.current_a, goal.lasting.current_a) for goal in goals]
-
-    def _excess_n(self) -> float:
-        """Return the excess of the force over the cap and its allowance for noise, in N.
-
-        The allowance falls with the number of samples: a large excess shows in the first sample.
-        """
-        settings, n_samples = self._settings, len(self._forces)
-        first_n = second_n = variance_n2 = 0.0
-        most_n, n = -inf, 0
-        for sample in self._forces:
-            n += 1
-            first_n += sample.force_n[0]
-            second_n += sample.force_n[1]
-            variance_n2 += sample.noise_n**2
-            larger_n = first_n if first_n > second_n else second_n
-            if larger_n / n <= most_n:
-                continue
-            few = n < n_samples
-            times = min(_SINGLE_SAMPLE, sqrt(variance_n2) / n / QUIET_N) if few else 1.0
-            most_n = max(most_n, larger_n / n - times * settings.force_noise_n)
-        return most_n - settings.force_max_n
 
     def _check_goal(self, index: int, goal: ServoGoal, state: ServoFeedback) -> None:
         settings = self._settings

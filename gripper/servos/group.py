@@ -143,11 +143,7 @@ class Servos:
     @property
     def fresh_force(self) -> ForceSample | None:
         """The newest valid force sample; None where it is older than ``force_stale_s``."""
-        sample = self.goals.newest_force
-        if sample is None:
-            return None
-        fresh = self._clock.monotonic() - sample.t_s <= self._settings.force_stale_s
-        return sample if fresh else None
+        return self.goals.fresh_force(self._clock.monotonic())
 
     # Stop goals; without a goal in force, or without any feedback, they are not written.
 
@@ -171,10 +167,10 @@ class Servos:
             self.goals.write(goals, state, final=True)
 
     def hold_position(self, share: float = 1.0) -> None:
-        """Set the goals to the last read positions, with a share of the currents."""
+        """Set the goals to the last read positions, with a share of the lasting currents."""
         state, last = self.feedback.last, self.goals.last
         if state is not None and last:
-            self.goals.write(holding_position(last, state, share), state)
+            self.goals.write(standing([goal.lasting for goal in last], state, share), state)
 
     def stop_motion(self, share: float = 1.0) -> list[int]:
         """End a motion at the present positions; return the IDs of servos not confirmed to obey.
@@ -664,17 +660,6 @@ def for_hours(goals: Sequence[ServoGoal], settings: GripperSettings) -> list[Ser
         goal._replace(current_a=min(goal.current_a, one.servo_model.holding_a))
         for goal, one in zip(goals, settings.servos, strict=True)
     ]
-
-
-def holding_position(
-    last: Sequence[ServoGoal], state: ServoFeedback, share: float
-) -> list[ServoGoal]:
-    """Return goals at the present positions, with a share of the frozen currents.
-
-    No finger pushes on, and none yields by more than position control of the servos does.
-    """
-    goals = standing(frozen(last, state), state)
-    return [goal._replace(current_a=share * goal.current_a) for goal in goals]
 
 
 def lowered(
