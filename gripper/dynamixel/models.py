@@ -223,29 +223,29 @@ class ServoModel:
 
 _RPM = tau / 60.0
 """Speed in rad/s of one rev/min, as data sheets give it."""
-_X_SERIES: Mapping[str, tuple[Any, ...]] = {
-    # XM430-W350, XM430-W210, XL330-M288, XC330-M288
-    "number": (1020, 1030, 1200, 1240),
-    "current_unit_a": (2.69e-3, 2.69e-3, 1e-3, 1e-3),
-    "current_limit_raw": (1193, 1193, 1750, 2352),
-    "velocity_limit_raw": (350, 330, 445, 350),
-    "temperature_limit_c": (80, 80, 70, 70),
-    "min_voltage_raw": (95, 95, 35, 35),
-    "max_voltage_raw": (160, 160, 70, 70),
-    "shutdown_raw": (52, 52, 53, 52),
-    "position_gains": ((4000, 0, 800), (4000, 0, 800), (1000, 0, 1000), (1500, 0, 1000)),
-    "kt_nm_a": (1.80, 1.333, 3.4 / 15, 0.33),
-    "friction_nm": (0.09, 0.067, 0.2 / 15, 0.025),
-    "nominal_voltage_v": (12.0, 12.0, 5.0, 5.0),
-    "stall_torque_nm": (4.1, 3.0, 0.52, 0.93),
-    "stall_current_a": (2.3, 2.3, 1.47, 1.8),
-    "holding_a": (0.40, 0.40, 0.383, 0.465),
-    "peak_a": (0.80, 0.80, 0.717, 1.04),
-    "no_load_rad_s": (46 * _RPM, 77 * _RPM, 103 * _RPM, 81 * _RPM),
-    "rotor_inertia_kg_m2": (0.006, 0.0022, 0.0022, 0.0035),
+_TABLE: Mapping[str, tuple[Any, ...]] = {
+    # XM430-W350, XM430-W210, XL330-M288, XC330-M288, RH-P12-RN(A)
+    "number": (1020, 1030, 1200, 1240, 35074),
+    "current_unit_a": (2.69e-3, 2.69e-3, 1e-3, 1e-3, 1e-3),
+    "current_limit_raw": (1193, 1193, 1750, 2352, 1984),
+    "velocity_limit_raw": (350, 330, 445, 350, 2970),
+    "temperature_limit_c": (80, 80, 70, 70, 80),
+    "min_voltage_raw": (95, 95, 35, 35, 150),
+    "max_voltage_raw": (160, 160, 70, 70, 350),
+    "shutdown_raw": (52, 52, 53, 52, 52),
+    "position_gains": (*[(4000, 0, 800)] * 2, (1000, 0, 1000), (1500, 0, 1000), (0, 0, 8000)),
+    "kt_nm_a": (1.80, 1.333, 3.4 / 15, 0.33, 10.0),
+    "friction_nm": (0.09, 0.067, 0.2 / 15, 0.025, 1.8),
+    "nominal_voltage_v": (12.0, 12.0, 5.0, 5.0, 24.0),
+    "stall_torque_nm": (4.1, 3.0, 0.52, 0.93, 32.0),
+    "stall_current_a": (2.3, 2.3, 1.47, 1.8, 3.33),
+    "holding_a": (0.40, 0.40, 0.383, 0.465, 0.58),
+    "peak_a": (0.80, 0.80, 0.717, 1.04, 1.16),
+    "no_load_rad_s": (46 * _RPM, 77 * _RPM, 103 * _RPM, 81 * _RPM, 0.76),
+    "rotor_inertia_kg_m2": (0.006, 0.0022, 0.0022, 0.0035, 0.1),
 }
-"""The X series. Holding and peak current of the 330 size are 100 and 350 mA, and 120 and 600 mA, of
-the supply. Sources of kt and friction:
+"""Values of each model. Holding and peak current of the 330 size are 100 and 350 mA, and 120 and
+600 mA, of the supply. Sources of kt and friction:
 
 - XM430-W350: sweeps of the four servos of an OpenMANIPULATOR-X: 1.80 N m/A, friction 20 to 75 mA
   (smorales2405/open_manipulator_x_torque_control).
@@ -254,12 +254,16 @@ the supply. Sources of kt and friction:
   a load, falling 0.45 of it (logs of Rhoban/bam, revision af22604). The stall torque of the data
   sheet is 1.6 times as much; the uncertainty covers both.
 - XC330-M288: by analogy: data sheet, with the XL330's ratio of slow rise and data sheet.
+- RH-P12-RN(A), a gripper with one built-in servo: 170 N at each finger, 1.984 A and a lever of 2 x
+  57 mm make 10 N m/A, and 5 where both fingers press with them together; measure before relying on
+  it. 3.33 A is its peak current, 0.76 rad/s its closing speed of 75 mm/s. Torque constant,
+  friction, inertia, gains and the currents of a hold are unpublished: they are assumed.
 """
 
 
 def _of_the_table(column: int, name: str, **further: Any) -> ServoModel:
     """Return the model of a column, with further values."""
-    values = {key: row[column] for key, row in _X_SERIES.items()}
+    values = {key: row[column] for key, row in _TABLE.items()}
     return ServoModel(name=name, **values, **further)
 
 
@@ -275,11 +279,9 @@ XM430_W350 = _of_the_table(0, "XM430-W350")
 XM430_W210 = _of_the_table(1, "XM430-W210")
 XL330_M288 = _of_the_table(2, "XL330-M288", **_SIZE_330)
 XC330_M288 = _of_the_table(3, "XC330-M288", **_SIZE_330)
-
-RH_P12_RN_A = ServoModel(
-    name="RH-P12-RN(A)",
-    number=35074,
-    current_unit_a=1e-3,
+RH_P12_RN_A = _of_the_table(
+    4,
+    "RH-P12-RN(A)",
     goal_range_raw=(0, 1150),
     goal_velocity_raw=2970,
     ram_shift=448,
@@ -290,29 +292,9 @@ RH_P12_RN_A = ServoModel(
     velocity_unit_rad_s=0.01 * _RPM,
     acceleration_unit_rad_s2=tau / 3600.0,
     whole_pwm_raw=2009,
-    current_limit_raw=1984,
-    velocity_limit_raw=2970,
-    temperature_limit_c=80,
-    min_voltage_raw=150,
-    max_voltage_raw=350,
-    shutdown_raw=52,
-    position_gains=(0, 0, 8000),
-    kt_nm_a=10.0,
-    friction_nm=1.8,
     kt_sd=0.3,
     back_emf_sd=0.3,
-    nominal_voltage_v=24.0,
-    stall_torque_nm=32.0,
-    stall_current_a=3.33,
-    holding_a=0.58,
-    peak_a=1.16,
-    no_load_rad_s=0.76,
-    rotor_inertia_kg_m2=0.1,
 )
-"""A gripper with one built-in servo (e-Manual, RH-P12-RN(A)). 3.33 A is its peak current, 0.76
-rad/s its closing speed of 75 mm/s. Torque constant, friction, inertia, gains and the currents of
-a hold are unpublished: they are assumed. 170 N at each finger, 1.984 A and a lever of 2 x 57 mm
-make 10 N m/A, and 5 where both fingers press with them together; measure before relying on it."""
 
 _MODELS = {m.name: m for m in (XM430_W350, XM430_W210, XL330_M288, XC330_M288, RH_P12_RN_A)}
 MODELS: Mapping[str, ServoModel] = MappingProxyType(_MODELS)
