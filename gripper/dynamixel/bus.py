@@ -591,21 +591,19 @@ class ServoBus:
                 damaged |= bool(self._handler.dropped)
                 self._counts["corrupt" if damaged else "timeouts"] += 1
                 raise _NoAnswerError(damaged)
-            if status.servo_id != servo_id:
-                self._counts["late"] += 1
-                self._heard.add_packet()
-            elif status.error == 0 and len(status.data) != size:
-                # A refusal has no data; any other length is an answer to an earlier request.
-                damaged = True
-                self._outstanding = max(0, self._outstanding - 1)
-                self._counts["late"] += 1
-                self._heard.add_packet()
-            else:
+            # A refusal has no data; any other length is an answer to an earlier request.
+            earlier = status.error == 0 and len(status.data) != size
+            if status.servo_id == servo_id and not earlier:
                 self._counts["corrupt"] += bool(self._handler.dropped)
                 self.misses[servo_id] = 0
                 self._heard.forget()
                 (self.alerts.add if status.alert else self.alerts.discard)(servo_id)
                 return status
+            if status.servo_id == servo_id:
+                damaged = True
+                self._outstanding = max(0, self._outstanding - 1)
+            self._counts["late"] += 1
+            self._heard.add_packet()
 
     def _wait_until_quiet(self) -> None:
         """Drop late answers until all came or the line was quiet for ``_LATE_GUARD_S``.

@@ -42,6 +42,8 @@ edges, but no catalogue has its losses. [tuned]"""
 _OUTLIER_SIGMAS = 2.5
 """Points farther from a line, in standard deviations, are left out once."""
 
+Array = NDArray[np.float64]
+
 
 class FreePoint(NamedTuple):
     """Steady free motion of one servo; all signs are those of the opening gripper."""
@@ -155,8 +157,8 @@ def grown(point: FreePoint, drive: DriveCharacteristic) -> float:
 class _Fit(NamedTuple):
     """Values of a model of current over load, and their standard deviations."""
 
-    values: NDArray[np.float64]
-    sds: NDArray[np.float64]
+    values: Array
+    sds: Array
 
 
 def _rising(points: Sequence[LoadPoint], before: DriveCharacteristic) -> _Fit | None:
@@ -177,20 +179,18 @@ def _falling(points: Sequence[LoadPoint], up: _Fit) -> _Fit | None:
     if blocks is None:
         return None
 
-    def current_a(values: NDArray[np.float64], load_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+    def current_a(values: Array, load_nm: Array) -> Array:
         slope, share, base_a = values
         passive_nm = share * base_a / slope
         above_nm = load_nm - passive_nm
-        by_load_a: NDArray[np.float64] = above_nm * np.where(
-            above_nm > 0.0, slope, base_a / passive_nm
-        )
+        by_load_a: Array = above_nm * np.where(above_nm > 0.0, slope, base_a / passive_nm)
         return by_load_a
 
     start = np.array([_YIELDING[0] * up.values[0], _YIELDING[0], up.values[1]])
     return _fit(blocks, current_a, start, [_YIELDING[1] * up.values[0], _YIELDING[1], up.sds[1]])
 
 
-def _moving(points: Sequence[LoadPoint], least: float, most: float) -> NDArray[np.float64] | None:
+def _moving(points: Sequence[LoadPoint], least: float, most: float) -> Array | None:
     """Return means (m, 2) of parts of the points, within shares of the load's way; None: too few.
 
     The noise of single loads would make a line too flat.
@@ -203,14 +203,14 @@ def _moving(points: Sequence[LoadPoint], least: float, most: float) -> NDArray[n
     low, high = blocks[:, 0].min(), blocks[:, 0].max()
     # After a turn of the direction, friction locks the finger.
     way = (blocks[:, 0] - low) / max(high - low, 1e-9)
-    moving: NDArray[np.float64] = blocks[(way >= least) & (way <= most)]
+    moving: Array = blocks[(way >= least) & (way <= most)]
     return moving if len(moving) >= _LEAST_BLOCKS else None
 
 
 def _fit(
-    blocks: NDArray[np.float64],
-    model: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
-    start: NDArray[np.float64],
+    blocks: Array,
+    model: Callable[[Array, Array], Array],
+    start: Array,
     start_sds: Sequence[float],
 ) -> _Fit:
     """Fit a model of current over load; blocks far from it are left out.
@@ -225,18 +225,15 @@ def _fit(
         Values before the measurement, and their standard deviations.
     """
     (load_nm, current_a), sd_a = blocks.T, start_sds[-1]
+
+    def misfit(values: Array, load_nm: Array, current_a: Array, sd_a: float) -> Array:
+        off = (model(values, load_nm) - current_a) / sd_a
+        return np.concatenate([off, (values - start) / start_sds])
+
+    limits = (1e-3 * start, np.inf)
     for _ in range(3):
-
-        def misfit(
-            values: NDArray[np.float64],
-            load_nm: NDArray[np.float64] = load_nm,
-            current_a: NDArray[np.float64] = current_a,
-            sd_a: float = sd_a,
-        ) -> NDArray[np.float64]:
-            off = (model(values, load_nm) - current_a) / sd_a
-            return np.concatenate([off, (values - start) / start_sds])
-
-        fitted = least_squares(misfit, start, bounds=(1e-3 * start, np.inf), x_scale=start)
+        data = load_nm, current_a, sd_a
+        fitted = least_squares(misfit, start, bounds=limits, x_scale=start, args=data)
         off_a = np.abs(model(fitted.x, load_nm) - current_a)
         sd_a = max(_ALIKE * float(np.median(off_a)) / 0.6745, 1e-4)
         near = off_a <= _OUTLIER_SIGMAS * sd_a / _ALIKE

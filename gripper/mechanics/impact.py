@@ -185,13 +185,10 @@ def slowing_way_m(
     if to_m_s >= from_m_s:
         return 0.0
     mass_kg = impact_limit(settings, linkage, angles_rad).mass_kg
+    paths = transmissions(settings, linkage, angles_rad)
     slowing_s = max(
-        mass_kg * path.radius_m / (path.n_per_a * model.damping_a_s)
-        for path, model in zip(
-            transmissions(settings, linkage, angles_rad),
-            (servo.servo_model for servo in settings.servos),
-            strict=True,
-        )
+        mass_kg * path.radius_m / (path.n_per_a * servo.servo_model.damping_a_s)
+        for path, servo in zip(paths, settings.servos, strict=True)
     )
     acts_s = _GOAL_PERIODS * settings.period_s + CURRENT_S
     lasts_s = _SLOWED_TIMES * slowing_s

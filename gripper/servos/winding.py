@@ -82,32 +82,25 @@ class WindingHeat:
         self._model = model
         self._square_a2 = 0.0
         self._most_a2 = model.holding_a**2 + _peak_a2(model)
-        self._lowered_a: float | None = None
-        self._last: tuple[float, float] | None = None
-
-    @property
-    def hot(self) -> bool:
+        self.hot = False
         """Whether only the holding current is allowed."""
-        return self._lowered_a is not None
-
-    @property
-    def limit_a(self) -> float:
+        self.limit_a = model.stall_current_a
         """Largest allowed current in A."""
-        return self._model.stall_current_a if self._lowered_a is None else self._lowered_a
+        self._last: tuple[float, float] | None = None
 
     def add(self, now_s: float, current_a: float) -> None:
         """Add a measured current in A at a monotonic time in s; it lasts until the next one."""
         if self._last is not None:
             dt_s, last_a = now_s - self._last[0], self._last[1]
             self._square_a2 += -(last_a**2 - self._square_a2) * (exp(-dt_s / _WINDING_S) - 1.0)
-            if self._lowered_a is not None:
-                above_a = self._lowered_a - self._model.holding_a
-                self._lowered_a -= above_a * (1.0 - exp(-dt_s / _LOWERING_S))
+            if self.hot:
+                above_a = self.limit_a - self._model.holding_a
+                self.limit_a -= above_a * (1.0 - exp(-dt_s / _LOWERING_S))
         self._last = now_s, current_a
-        if self._square_a2 >= self._most_a2 and self._lowered_a is None:
-            self._lowered_a = max(abs(current_a), self._model.holding_a)
+        if self._square_a2 >= self._most_a2 and not self.hot:
+            self.hot, self.limit_a = True, max(abs(current_a), self._model.holding_a)
         elif self._square_a2 < self._model.holding_a**2:
-            self._lowered_a = None
+            self.hot, self.limit_a = False, self._model.stall_current_a
 
 
 def longest_s(model: ServoModel, current_a: float) -> float:
