@@ -151,7 +151,8 @@ class GripperSettings:
     force_noise_n: float = setting(0.5, low=0.0, high=5.0)
     """Excess of the mean of a few samples over the cap in N that noise may cause."""
     current_max_a: float = setting(0.8, low=0.05)
-    """Cap of the goal current in A, at most the stall current of each servo's model."""
+    """Cap of the goal current in A, at most stall current and Current Limit (register 38) of each
+    servo's model."""
     temperature_max_c: float = setting(70.0, low=30.0, high=80.0)
     """Warmest servo in degrees Celsius at which goals are still written."""
     force_stale_s: float = setting(0.1, low=0.02, high=1.0)
@@ -208,7 +209,8 @@ class GripperSettings:
         check_number("aperture_min_m", self.aperture_min_m, high=self.aperture_open_m)
         check_number("aperture_pressed_m", self.least_pressed_m, high=self.aperture_min_m)
         for servo in self.servos:
-            most_a = servo.servo_model.stall_current_a
+            model = servo.servo_model
+            most_a = min(model.stall_current_a, model.winding_a(model.current_limit_raw))
             if self.current_max_a > most_a:
                 raise LimitExceeded(
                     f"current_max_a is {self.current_max_a:g} A, servo {servo.servo_id} "

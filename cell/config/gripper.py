@@ -156,7 +156,8 @@ class GripperConfig(Section):
     of 0.3 N or 10 % must stay below it. With a low cap the fingers approach slowly, or not at all.
     """
     current_max_a: float = setting_of(GripperSettings, "current_max_a")
-    """Cap of the goal current of each servo in A, 0.05 to the stall current of its model."""
+    """Cap of the goal current of each servo in A, 0.05 to the stall current of its model, or to its
+    current limit if that is less."""
     temperature_max_c: float = setting_of(GripperSettings, "temperature_max_c")
     """Servo temperature in C above which no ramp starts and a running ramp is held, 30 to 80."""
     force_stale_ms: float = setting_of(GripperSettings, "force_stale_s", MILLI)

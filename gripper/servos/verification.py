@@ -6,7 +6,6 @@ from math import ceil
 
 from gripper.dynamixel.bus import HIGHEST_ID
 from gripper.dynamixel.models import PWM_SLOPE_RAW, OperatingMode, ServoModel
-from gripper.errors import LimitExceeded
 from gripper.values.servo_checks import HardwareError, VerificationRow
 
 _DRIVE_MODE_MASK = 0b1101
@@ -65,11 +64,6 @@ def requirements(
     Those of `gripper.settings.CORRECTABLE` have one right value. Items that change the mechanics or
     the protection of the servo are only compared: the user decides on them.
     """
-    most_a = model.winding_a(model.current_limit_raw)
-    if current_max_a > most_a:
-        raise LimitExceeded(
-            f"current_max_a is {current_max_a} A, a {model.name} allows at most {most_a:.3f} A"
-        )
     # The lowest supply needs most.
     lowest_v = model.min_voltage_raw * model.voltage_unit_v
     needed_raw = min(model.current_raw(current_max_a, lowest_v), model.current_limit_raw)

@@ -206,6 +206,11 @@ SERVO = ServoSettings(servo_id=1)
         (GripperSettings(), {"aperture_min_m": 0.05}, "aperture_min_m"),
         (GripperSettings(), {"watchdog_s": 0.001}, "watchdog_s"),
         (GripperSettings(), {"servos": (SERVO, SERVO)}, r"\[1, 1\]"),
+        (
+            GripperSettings(current_max_a=1.99, servos=(ServoSettings(servo_id=1),)),
+            {"servos": (ServoSettings(servo_id=1, model="RH-P12-RN(A)"),)},
+            r"1 \(RH-P12-RN\(A\)\) makes at most 1\.984 A",
+        ),
         (SERVO, {"model": "XL430-W250"}, "no Goal Current"),
         (SERVO, {"model": "xm430-w35O"}, r"not known: did you mean XM430-W350\?"),
         (SERVO, {"model": "servo"}, "'servo' is not known: use one of XM430-W350, "),
