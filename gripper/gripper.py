@@ -137,7 +137,7 @@ class Gripper:
     @property
     def phase(self) -> GripperPhase:
         """Phase of the gripper."""
-        return self._life.phase
+        return self._runner.phase
 
     @property
     def fault(self) -> BaseException | None:
@@ -177,7 +177,7 @@ class Gripper:
                 f"its finger is unknown, and nothing is moved. Check encoder, horn and linkage, "
                 f"then clear the fault with a reboot"
             )
-        held_before = self._life.phase is not GripperPhase.IDLE
+        held_before = self._runner.phase is not GripperPhase.IDLE
         if not any(self._servos.torques()):
             self._life.switched_off()
             report = self._servos.verify(correct=True, refuse=True)
@@ -213,10 +213,8 @@ class Gripper:
         GripperError
             When the bus is lost or a servo at fault; the fault is latched, the grip kept.
         """
-        if self._life.running or self._life.phase is GripperPhase.OFF:
-            return None
-        if not self._servos.goals_in_force:
-            # Torque from before the start, or lost torque: nothing to supervise.
+        if self._life.running or not self._servos.goals.last:
+            # Torque from before the start, or no torque: nothing to supervise.
             return None
         if self._life.fault is not None:
             with self._servos.in_loop():
@@ -235,7 +233,7 @@ class Gripper:
             raise
         return Cycle(
             t_s=state.t_s,
-            phase=self._life.phase,
+            phase=self._runner.phase,
             state=state,
             goal_current_a=self._servos.goal_current_a,
         )
@@ -384,7 +382,7 @@ class Gripper:
             self._make_ready()
             if force_n != control.grip.setpoint_n:
                 state = self._runner.run(GripStep(self.settings, control, ramp).step)
-            self._life.phase = GripperPhase.HOLDING
+            self._runner.phase = GripperPhase.HOLDING
             if duration_s > 0.0 or force_n == control.grip.setpoint_n:
                 hold_s = max(duration_s, self.settings.period_s)
                 state = self._runner.run(HoldStep(self.settings, control, hold_s).step)
@@ -421,7 +419,7 @@ class Gripper:
         free, servos = self._free, self._servos
         notes, free.notes = free.notes, []
         warnings, servos.notes = servos.notes, []
-        return DriveReport(self.settings.drives.newest, (*notes, *warnings))
+        return DriveReport(dict(self.settings.drives.newest), (*notes, *warnings))
 
     def use_drives(self, drives: Mapping[int, DriveCharacteristic]) -> None:
         """Use saved drive characteristics, by the servos' IDs."""
@@ -514,13 +512,12 @@ class Gripper:
         """
         self._life.check_ready("release")
         self._carried = None
-        if not self._servos.goals_in_force:
+        if not self._servos.goals.last:
             self.bus.demand_answers(self._ids)
             left = self._not_able()
             if left:
                 return self._open_one(left[0], observer)
         with self._life.command("release", observer):
-            self._servos.feedback.check.letting_go = True
             try:
                 was_limp = self._make_ready(releasing=True)
                 # The force of a part that a stop leaves half held cannot be controlled.
@@ -528,7 +525,6 @@ class Gripper:
                 wider = self._wider_open()
                 state = self._move_to(self.settings.aperture_open_m, only_open=True, first=was_limp)
             finally:
-                self._servos.feedback.check.letting_go = False
                 self._servos.end_release()
             self._life.part_possible = False
         return ReleaseReport(state=state, opened=tuple(self._ids), wider=wider)
@@ -561,7 +557,7 @@ class Gripper:
         After any other fault it does not wait for a silent servo, so that the fault is reported
         without delay.
         """
-        if self._life.phase is GripperPhase.OFF or bus_is_lost(self._life.fault):
+        if self._runner.phase is GripperPhase.OFF or bus_is_lost(self._life.fault):
             return
         if self._life.motion_unconfirmed:
             return
@@ -612,9 +608,8 @@ class Gripper:
         self._free.distrust()
         self._life.fault = None
         self._life.motion_unconfirmed = False
-        self._runner.stop_request.clear()
         self._carried = None
-        if self._servos.goals_in_force and all(condition.torque_on for condition in conditions):
+        if self._servos.goals.last and all(condition.torque_on for condition in conditions):
             self._life.rest()
         elif any(condition.torque_on or not condition.answers for condition in conditions):
             # This gripper gave no goals, or some are no longer in force.
@@ -631,13 +626,13 @@ class Gripper:
         so that a trip does not end the grip. The watchdog stays armed if only it stops moving
         fingers.
         """
-        if self._life.phase is GripperPhase.OFF or self._life.motion_unconfirmed:
+        if self._runner.phase is GripperPhase.OFF or self._life.motion_unconfirmed:
             return
         # Without a bus nothing can be changed; the grip stays as it is.
         with suppress(GripperError):
-            if self._life.phase is GripperPhase.IDLE and self._life.fault is None:
+            if self._runner.phase is GripperPhase.IDLE and self._life.fault is None:
                 self._servos.switch_off()
-                self._life.phase = GripperPhase.OFF
+                self._runner.phase = GripperPhase.OFF
             else:
                 self._freeze_carried()
                 self._servos.disarm_watchdog()
@@ -660,9 +655,8 @@ class Gripper:
             self._make_ready()
             self._life.part_possible = True
             outcome = run(ramp)
-        held = outcome.result in (GraspResult.FORCE_REACHED, GraspResult.FORCE_NOT_REACHED)
-        self._life.part_possible = self._life.controlled = held
-        self._life.phase = GripperPhase.HOLDING if held else GripperPhase.IDLE
+            held = outcome.result in (GraspResult.FORCE_REACHED, GraspResult.FORCE_NOT_REACHED)
+            self._life.part_possible = self._life.controlled = held
         return outcome
 
     def _freeze_carried(self) -> None:
@@ -693,16 +687,12 @@ class Gripper:
 
     def _make_ready(self, *, releasing: bool = False) -> bool:
         """Prepare the servos for a command; return whether all of them were without torque."""
-        limp: ServoFeedback | None = None
-        if not self._servos.goals_in_force and not any(self._servos.torques()):
-            limp = self._servos.read_patiently()
-            positions_raw = [servo.position_raw for servo in limp.servos]
-            _check_standing(standing_rows(self.settings, self._linkage, positions_raw))
+        limp = not self._servos.goals.last and not any(self._servos.torques())
+        if limp:
+            _check_standing(self._standing_rows())
             self._grasping.start_proving()
-        self._servos.make_ready(
-            part_possible=self._life.part_possible, releasing=releasing, limp=limp
-        )
-        return limp is not None
+        self._servos.make_ready(part_possible=self._life.part_possible, releasing=releasing)
+        return limp
 
     def _move_to(
         self, aperture_m: float, *, only_open: bool = False, first: bool = False
@@ -734,7 +724,7 @@ class Gripper:
         )
         one._link_checked = self._link_checked
         self._servos.forget()
-        self._life.phase, self._life.running = GripperPhase.RELEASING, True
+        self._runner.phase, self._life.running = GripperPhase.RELEASING, True
         try:
             state = one.release(observer).state
             with suppress(GripperError):

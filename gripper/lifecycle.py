@@ -36,23 +36,21 @@ class Command(NamedTuple):
     phases: frozenset[GripperPhase]
     """Phases in which it is possible; empty: all."""
     running: GripperPhase
-    after: GripperPhase | None
-    """Phase while it runs, and after its success; None if the result decides."""
+    """Phase while it runs."""
 
 
 _EMPTY = frozenset({GripperPhase.OFF, GripperPhase.IDLE})
 _HELD = frozenset({GripperPhase.HOLDING})
 COMMANDS: Mapping[str, Command] = {
-    "start": Command(frozenset(), GripperPhase.OFF, None),
-    "open": Command(_EMPTY, GripperPhase.OPENING, GripperPhase.IDLE),
-    "grasp": Command(_EMPTY, GripperPhase.APPROACHING, None),
-    "hold": Command(_HELD, GripperPhase.HOLDING, GripperPhase.HOLDING),
-    "hold_at": Command(_HELD, GripperPhase.BACKING_OFF, GripperPhase.HOLDING),
-    "squeeze": Command(_HELD, GripperPhase.RAMPING, GripperPhase.HOLDING),
-    "release": Command(frozenset(), GripperPhase.RELEASING, GripperPhase.IDLE),
+    "start": Command(frozenset(), GripperPhase.OFF),
+    "open": Command(_EMPTY, GripperPhase.OPENING),
+    "grasp": Command(_EMPTY, GripperPhase.APPROACHING),
+    "hold": Command(_HELD, GripperPhase.HOLDING),
+    "hold_at": Command(_HELD, GripperPhase.BACKING_OFF),
+    "squeeze": Command(_HELD, GripperPhase.RAMPING),
+    "release": Command(frozenset(), GripperPhase.RELEASING),
 }
-"""Commands by name. A fault goes from each phase to HELD_AFTER_FAULT; a stop goes to
-the phase of `Lifecycle.rest`."""
+"""Commands by name. Each one ends in the phase of `Lifecycle.rest`."""
 
 
 class FingersLeft(StrEnum):
@@ -102,28 +100,19 @@ class Lifecycle:
         self._runner = runner
         self._servos = runner.servos
 
-    @property
-    def phase(self) -> GripperPhase:
-        """Phase of the gripper."""
-        return self._runner.phase
-
-    @phase.setter
-    def phase(self, phase: GripperPhase) -> None:
-        self._runner.phase = phase
-
     def set_phase(self, phase: GripperPhase) -> None:
         """Set the phase; from the ramp on the force can be controlled."""
-        self.phase = phase
+        self._runner.phase = phase
         self.controlled = phase is GripperPhase.RAMPING
 
     def rest(self) -> None:
-        """Set the phase for frozen goals."""
+        """Set the phase after a command, or for frozen goals: it depends on the part."""
         if self.fault is not None or (self.part_possible and not self.controlled):
-            self.phase = GripperPhase.HELD_AFTER_FAULT
+            self._runner.phase = GripperPhase.HELD_AFTER_FAULT
         elif self.part_possible:
-            self.phase = GripperPhase.HOLDING
+            self._runner.phase = GripperPhase.HOLDING
         else:
-            self.phase = GripperPhase.IDLE
+            self._runner.phase = GripperPhase.IDLE
 
     def torque_from_before(self) -> None:
         """Set the phase for torque from before the start: a part may be held, force unknown."""
@@ -135,7 +124,7 @@ class Lifecycle:
         self._servos.forget()
         self.part_possible = False
         self.controlled = False
-        self.phase = GripperPhase.OFF
+        self._runner.phase = GripperPhase.OFF
 
     def check_ready(self, command: str) -> None:
         """Raise GripperStateError when a command is not possible now; see `COMMANDS`."""
@@ -147,25 +136,23 @@ class Lifecycle:
                 f"clear_fault first"
             )
         phases = COMMANDS[command].phases
-        if phases and self.phase not in phases:
+        if phases and self._runner.phase not in phases:
             hint = ": release the part first" if self.part_possible else ""
             raise GripperStateError(
-                f"{command} is not possible in the state {self.phase.name}{hint}"
+                f"{command} is not possible in the state {self._runner.phase.name}{hint}"
             )
 
     @contextmanager
     def command(self, command: str, observer: Observer | None) -> Iterator[None]:
         """Run one command in its phase; a stop freezes the goals, or stops moving fingers."""
         self._runner.stop_request.clear()
-        self.phase = COMMANDS[command].running
+        self._runner.phase = COMMANDS[command].running
         self._runner.observer = observer
         self.running = True
         try:
             yield
-            self.phase = COMMANDS[command].after or self.phase
         except GraspStopped as stop:
             self._stop(stop)
-            self.rest()
             raise
         except BaseException as error:
             self.latch(error)
@@ -173,6 +160,7 @@ class Lifecycle:
         finally:
             self.running = False
             self._runner.observer = None
+            self.rest()
 
     def take_over(self, carrier: "Lifecycle") -> None:
         """Take over the fault of a gripper with some of the servos, which has responded to it."""
@@ -183,7 +171,7 @@ class Lifecycle:
         """Latch an error as a fault, and keep the grip."""
         self.fault = error
         self.part_possible |= isinstance(error, FingerBlocked)
-        phase, self.phase = self.phase, GripperPhase.HELD_AFTER_FAULT
+        phase, self._runner.phase = self._runner.phase, GripperPhase.HELD_AFTER_FAULT
         left = FingersLeft.UNCONFIRMED
         # The raised error names the cause; a bus that fails again adds nothing.
         with suppress(GripperError):
@@ -192,19 +180,18 @@ class Lifecycle:
         self.motion_unconfirmed = phase.moving and left is FingersLeft.UNCONFIRMED
 
     def _stop(self, stop: GraspStopped) -> None:
-        if not self.phase.moving:
+        if not self._runner.phase.moving:
             with suppress(GripperError):
                 self._servos.freeze()
             return
         with self._servos.in_loop():
             unconfirmed = self._servos.stop_motion()
         if not unconfirmed:
-            self._note_fingers(stop, self.phase, FingersLeft.STOPPED)
+            self._note_fingers(stop, self._runner.phase, FingersLeft.STOPPED)
             return
         error = ServoFault(unconfirmed[0], "it did not take the goal to stand still")
-        self._note_fingers(error, self.phase, FingersLeft.UNCONFIRMED)
+        self._note_fingers(error, self._runner.phase, FingersLeft.UNCONFIRMED)
         self.fault, self.motion_unconfirmed = error, True
-        self.phase = GripperPhase.HELD_AFTER_FAULT
         raise error from stop
 
     def _note_fingers(self, error: BaseException, phase: GripperPhase, left: FingersLeft) -> None:
@@ -219,7 +206,7 @@ class Lifecycle:
         if not self.part_possible:
             # Without a grasp it is unknown whether something is between the fingers.
             empty = shows_nothing(
-                state, self._servos.fresh_force, self._servos.settings.contact_force_n
+                state, self._servos.goals.fresh_force, self._servos.settings.contact_force_n
             ) and not isinstance(error, FeedbackImplausible)
             part = "nothing is held" if empty else "no part was gripped"
         elif phase is GripperPhase.RELEASING:
@@ -232,7 +219,7 @@ class Lifecycle:
         """Note on an error of a grip: the state of the grip, and the force on the pads."""
         if left not in _GRIP_LEFT or not self.part_possible:
             return
-        sample = self._servos.fresh_force
+        sample = self._servos.goals.fresh_force
         measured = "" if sample is None else f" (the pads measured {sample.grip_n:.1f} N just then)"
         note_fingers(error, f"{_GRIP_LEFT[left]}{measured}")
 

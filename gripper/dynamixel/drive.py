@@ -168,7 +168,8 @@ class Drives:
     """
 
     def __init__(self, newest: Mapping[int, DriveCharacteristic] | None = None) -> None:
-        self._newest = dict(newest or {})
+        self.newest = dict(newest or {})
+        """Those that were measured or given."""
         self.cache: dict[str, Any] = {}
         """Values of these drives at the last angles, each with what it was computed of."""
         self.version = 0
@@ -179,16 +180,11 @@ class Drives:
 
     def of(self, servo_id: int, unmeasured: DriveCharacteristic) -> DriveCharacteristic:
         """Return the drive characteristic of a servo; if it was never measured, ``unmeasured``."""
-        return self._newest.get(servo_id, unmeasured)
-
-    @property
-    def newest(self) -> dict[int, DriveCharacteristic]:
-        """Those that were measured or given."""
-        return dict(self._newest)
+        return self.newest.get(servo_id, unmeasured)
 
     def put(self, servo_id: int, drive: DriveCharacteristic) -> None:
         """Replace that of a servo."""
-        self._newest[servo_id] = drive
+        self.newest[servo_id] = drive
         self.version += 1
 
 

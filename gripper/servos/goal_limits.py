@@ -189,10 +189,11 @@ class GoalWriter:
         if self._forces.push(sample) is not None:
             self.newest_force = sample
 
-    def fresh_force(self, now_s: float) -> ForceSample | None:
-        """Return the newest force sample; None where it is older than ``force_stale_s``."""
-        sample = self.newest_force
-        fresh = sample is not None and now_s - sample.t_s <= self._settings.force_stale_s
+    @property
+    def fresh_force(self) -> ForceSample | None:
+        """The newest force sample; None where it is older than ``force_stale_s``."""
+        sample, longest_s = self.newest_force, self._settings.force_stale_s
+        fresh = sample is not None and self._clock.monotonic() - sample.t_s <= longest_s
         return sample if fresh else None
 
     def bounded(
@@ -282,12 +283,11 @@ class GoalWriter:
             current_a = min(abs(drive_n) / path.n_per_a, most_a)
             angle_rad = goal.angle_rad if drive_n > 0.0 else state.angle_rad
             return goal._replace(angle_rad=angle_rad, current_a=current_a)
-        free = empty and goal.profile_rad_s == 0.0
-        ahead_rad = inf
-        if free:
+        angle_rad = goal.angle_rad
+        if empty and goal.profile_rad_s == 0.0:
             ahead_rad = closing_margin_rad(model, most_a)
             ahead_rad += running_lead_rad(model, 0.0, fastest_rad_s)
-        angle_rad = max(goal.angle_rad, state.angle_rad - ahead_rad)
+            angle_rad = max(angle_rad, state.angle_rad - ahead_rad)
         return goal._replace(angle_rad=angle_rad, current_a=most_a)
 
     @property
@@ -342,8 +342,8 @@ class GoalWriter:
 
         Raises LimitExceeded, which names the limit, when a goal exceeds one.
         """
-        settings, now_s = self._settings, self._clock.monotonic()
-        age_s = now_s - state.t_s
+        settings = self._settings
+        age_s = self._clock.monotonic() - state.t_s
         if age_s > settings.bus_loss_s:
             raise LimitExceeded(
                 f"the servos' feedback is {age_s:.3f} s old, at most {settings.bus_loss_s} s are "
@@ -352,10 +352,8 @@ class GoalWriter:
         lowering = opening = True
         for index, (goal, servo) in enumerate(zip(goals, state.servos, strict=True)):
             self._check_goal(index, goal, state)
-            if goal.current_a > self._previous_a[index] + _EQUAL:
-                lowering = False
-            if goal.angle_rad < servo.angle_rad - _EQUAL:
-                opening = False
+            lowering &= goal.current_a <= self._previous_a[index] + _EQUAL
+            opening &= goal.angle_rad >= servo.angle_rad - _EQUAL
         if not lowering and not opening:
             paths = transmissions(settings, self._linkage, state.angles_rad)
             for servo, path, goal in zip(state.servos, paths, goals, strict=True):
@@ -371,7 +369,7 @@ class GoalWriter:
                     f"a servo has {state.temperature_c:.0f} C, temperature_max_c is "
                     f"{settings.temperature_max_c:g}: let it cool down"
                 )
-            if self.fresh_force(now_s) is not None:
+            if self.fresh_force is not None:
                 self.check_force()
         self._previous_a = [max(goal.current_a, goal.lasting.current_a) for goal in goals]
 

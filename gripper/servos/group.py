@@ -43,7 +43,6 @@ from gripper.servos.goal_limits import (
 )
 from gripper.servos.verification import Requirement, requirements
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.values.force_sensor import ForceSample
 from gripper.values.servo_checks import (
     HardwareError,
     ServoCondition,
@@ -101,7 +100,7 @@ class Servos:
 
     def read(self) -> ServoFeedback:
         """Read the feedback of all servos in one transaction; errors as in `Feedback.read`."""
-        sample = self.fresh_force
+        sample = self.goals.fresh_force
         # A load that is unknown may be one.
         loaded = sample is None or max(sample.force_n) >= self._settings.contact_force_n
         return self.feedback.read(under_torque=bool(self.goals.last), loaded=loaded)
@@ -130,20 +129,10 @@ class Servos:
     # Goals
 
     @property
-    def goals_in_force(self) -> bool:
-        """True while goals that were written here are in force."""
-        return bool(self.goals.last)
-
-    @property
     def goal_current_a(self) -> float:
         """Mean of the goal currents in A; 0 while no goal is in force."""
         goals = self.goals.last
         return sum(goal.current_a for goal in goals) / max(1, len(goals))
-
-    @property
-    def fresh_force(self) -> ForceSample | None:
-        """The newest valid force sample; None where it is older than ``force_stale_s``."""
-        return self.goals.fresh_force(self._clock.monotonic())
 
     # Stop goals; without a goal in force, or without any feedback, they are not written.
 
@@ -179,8 +168,9 @@ class Servos:
         back.
         """
         state = self.feedback.last
-        age_s = 0.0 if state is None else self._clock.monotonic() - state.t_s
-        late = age_s > _STALE_PERIODS * self._settings.period_s
+        if state is None or not self.goals.last:
+            return []
+        late = self._clock.monotonic() - state.t_s > _STALE_PERIODS * self._settings.period_s
         if late and not any(self._bus.misses[servo_id] for servo_id in self._ids):
             # The loop has stalled, and the fingers have moved since the last reading.
             with suppress(GripperError):
@@ -198,9 +188,7 @@ class Servos:
 
     # Torque and bus watchdog
 
-    def make_ready(
-        self, *, part_possible: bool, releasing: bool, limp: ServoFeedback | None = None
-    ) -> None:
+    def make_ready(self, *, part_possible: bool, releasing: bool) -> None:
         """Switch the torque on where it is off, arm or restart the watchdog, before a command.
 
         Goals are set to the present positions before the torque goes on and after a watchdog trip,
@@ -215,15 +203,14 @@ class Servos:
         releasing
             True when the part is to be released: then a trip is no fault. Torque that was already
             on may be switched off to correct the mode.
-        limp
-            Feedback just read, where no servo has torque.
         """
-        goals_in_force = self.goals_in_force
-        if releasing and not goals_in_force:
+        self.feedback.check.letting_go = releasing
+        in_force = bool(self.goals.last)
+        if releasing and not in_force:
             self.make_releasable()
-        if limp is not None or not all(self.torques()):
-            self.restart_watchdog(self._motion_current_a(limp), switch_on=True)
-        elif not goals_in_force or self._finds_trip():
+        if not all(self.torques()):
+            self.restart_watchdog(self._motion_current_a(), switch_on=True)
+        elif not in_force or self._finds_trip():
             if part_possible and not releasing:
                 raise ServoFault(
                     self._ids[0],
@@ -420,16 +407,15 @@ class Servos:
         report = self.verify(correct=False)
         if all(row.item == HARDWARE_ERROR_STATUS.name for row in report.failed):
             return
-        for servo_id in self._ids:
-            self._bus.write(servo_id, BUS_WATCHDOG, 0)
-            self._bus.write(servo_id, TORQUE_ENABLE, 0)
+        self.switch_off()
         report = self.verify(correct=True)
         if any(row.item != HARDWARE_ERROR_STATUS.name for row in report.failed):
             raise VerificationFailed(report, "the torque is off now and the fingers did not open")
 
     def end_release(self) -> None:
-        """End the acceptance of errors of servos."""
+        """End the acceptance of errors of servos, and of positions that a part let go explains."""
         self._accepted = {}
+        self.feedback.check.letting_go = False
 
     def _required(self, servo: ServoSettings) -> tuple[Requirement, ...]:
         settings = self._settings
@@ -572,9 +558,8 @@ class Servos:
                 f"held part possibly dropped. Check who else writes to this servo, and its encoder"
             )
 
-    def _motion_current_a(self, state: ServoFeedback | None = None) -> float:
-        state = state or self.read_patiently()
-        paths = transmissions(self._settings, self.linkage, state.angles_rad)
+    def _motion_current_a(self) -> float:
+        paths = transmissions(self._settings, self.linkage, self.read_patiently().angles_rad)
         return max(motion_currents_a(self._settings, paths, self._settings.approach_force_n))
 
     def _check_mode(self) -> None:
@@ -629,13 +614,10 @@ class Servos:
 
         There is no wait for a servo that did not answer last.
         """
-        if self.feedback.last is None or not self.goals.last:
-            return True
         if self._bus.misses[servo_id]:
             return False
         with suppress(GripperError):
-            wanted_raw = self.feedback.last.servos[self._ids.index(servo_id)].position_raw
-            if self._bus.read(servo_id, GOAL_POSITION) == wanted_raw:
+            if self._bus.read(servo_id, GOAL_POSITION) == self.goals.raws[servo_id][-1]:
                 return True
             if self.has_tripped(servo_id):
                 self._bus.write(servo_id, BUS_WATCHDOG, 0)
