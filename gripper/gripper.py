@@ -687,12 +687,16 @@ class Gripper:
 
     def _make_ready(self, *, releasing: bool = False) -> bool:
         """Prepare the servos for a command; return whether all of them were without torque."""
-        limp = not self._servos.goals.last and not any(self._servos.torques())
-        if limp:
-            _check_standing(self._standing_rows())
+        limp: ServoFeedback | None = None
+        if not self._servos.goals.last and not any(self._servos.torques()):
+            limp = self._servos.read_patiently()
+            positions_raw = [servo.position_raw for servo in limp.servos]
+            _check_standing(standing_rows(self.settings, self._linkage, positions_raw))
             self._grasping.start_proving()
-        self._servos.make_ready(part_possible=self._life.part_possible, releasing=releasing)
-        return limp
+        self._servos.make_ready(
+            part_possible=self._life.part_possible, releasing=releasing, limp=limp
+        )
+        return limp is not None
 
     def _move_to(
         self, aperture_m: float, *, only_open: bool = False, first: bool = False

@@ -188,7 +188,9 @@ class Servos:
 
     # Torque and bus watchdog
 
-    def make_ready(self, *, part_possible: bool, releasing: bool) -> None:
+    def make_ready(
+        self, *, part_possible: bool, releasing: bool, limp: ServoFeedback | None = None
+    ) -> None:
         """Switch the torque on where it is off, arm or restart the watchdog, before a command.
 
         Goals are set to the present positions before the torque goes on and after a watchdog trip,
@@ -203,21 +205,25 @@ class Servos:
         releasing
             True when the part is to be released: then a trip is no fault. Torque that was already
             on may be switched off to correct the mode.
+        limp
+            Feedback just read, where no servo has torque.
         """
         self.feedback.check.letting_go = releasing
         in_force = bool(self.goals.last)
         if releasing and not in_force:
             self.make_releasable()
-        if not all(self.torques()):
-            self.restart_watchdog(self._motion_current_a(), switch_on=True)
-        elif not in_force or self._finds_trip():
-            if part_possible and not releasing:
+        off = limp is not None or not all(self.torques())
+        if off or not in_force or self._finds_trip():
+            if part_possible and not (off or releasing):
                 raise ServoFault(
                     self._ids[0],
                     "the bus watchdog has tripped while a part was held, because nobody called "
                     "tick; the servos have stopped, the part may still be gripped",
                 )
-            self.restart_watchdog(self._motion_current_a())
+            settings, state = self._settings, limp or self.read_patiently()
+            paths = transmissions(settings, self.linkage, state.angles_rad)
+            current_a = max(motion_currents_a(settings, paths, settings.approach_force_n))
+            self.restart_watchdog(current_a, switch_on=off)
 
     def restart_watchdog(self, current_a: float, *, switch_on: bool = False) -> None:
         """Clear a tripped watchdog, set the goals to the present positions and arm it again.
@@ -557,10 +563,6 @@ class Servos:
                 f"plausible: where its finger is, is unknown, so the torque is switched off and a "
                 f"held part possibly dropped. Check who else writes to this servo, and its encoder"
             )
-
-    def _motion_current_a(self) -> float:
-        paths = transmissions(self._settings, self.linkage, self.read_patiently().angles_rad)
-        return max(motion_currents_a(self._settings, paths, self._settings.approach_force_n))
 
     def _check_mode(self) -> None:
         """Raise ServoFault where a servo is in another mode: the meaning of goals differs."""
