@@ -638,10 +638,7 @@ class Gripper:
                 self._servos.disarm_watchdog()
 
     def _close(
-        self,
-        run: Callable[[ForceRamp], GraspOutcome],
-        ramp: ForceRamp,
-        observer: Observer | None,
+        self, run: Callable[[ForceRamp], GraspOutcome], ramp: ForceRamp, observer: Observer | None
     ) -> GraspOutcome:
         """Close and follow a ramp as `grasp`, and keep what is held."""
         self._life.check_ready("grasp")

@@ -208,10 +208,7 @@ def _moving(points: Sequence[LoadPoint], least: float, most: float) -> Array | N
 
 
 def _fit(
-    blocks: Array,
-    model: Callable[[Array, Array], Array],
-    start: Array,
-    start_sds: Sequence[float],
+    blocks: Array, model: Callable[[Array, Array], Array], start: Array, start_sds: Sequence[float]
 ) -> _Fit:
     """Fit a model of current over load; blocks far from it are left out.
 

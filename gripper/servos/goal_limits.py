@@ -11,11 +11,7 @@ from typing import NamedTuple
 
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.control_table import (
-    GOAL_CURRENT,
-    GOAL_POSITION,
-    RegisterBlock,
-)
+from gripper.dynamixel.control_table import GOAL_CURRENT, GOAL_POSITION, RegisterBlock
 from gripper.dynamixel.drive import SIGMAS, DriveCharacteristic
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import ForceAboveCap, LimitExceeded

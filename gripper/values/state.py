@@ -34,11 +34,7 @@ class GripperPhase(Enum):
     @property
     def moving(self) -> bool:
         """True while the fingers move without a part in their grip."""
-        return self in (
-            GripperPhase.OPENING,
-            GripperPhase.APPROACHING,
-            GripperPhase.RELEASING,
-        )
+        return self in (GripperPhase.OPENING, GripperPhase.APPROACHING, GripperPhase.RELEASING)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
