@@ -19,7 +19,6 @@ from cell.errors import CellError, ConfigError, PositionerError
 from cell.hand.connections import MISSING, HandConnections
 from cell.hand.local import sensor_settings
 from cell.interfaces.cli.app import app
-from cell.recording.dataset import read_grasps
 from cell.runtime import simulate
 from cell.simulation import InProcessPlacer, simulator_settings
 from gripper.errors import PortLost
@@ -285,33 +284,6 @@ def test_a_person_without_hardware_moves_the_fingers_from_a_second_terminal(cell
 
 
 FLEXITAC, USKIN = (load_config(ROOT / "config" / f"{name}.yaml") for name in ("flexitac", "uskin"))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("profile", ["12x32", "16x32", "16x16"])
-def test_a_cell_grasps_and_records_on_boards_of_each_profile(make_bench, profile, tmp_path) -> None:
-    config = changed_config(
-        FLEXITAC,
-        {
-            "tactile.sensor.profile": profile,
-            "tactile.layout": f"flexitac_{profile}",
-            "tactile.tare_frames": 30,
-        },
-    )
-    bench = make_bench(config, folder=tmp_path).ready()
-    grasp = bench.grasp(4.0).grasp
-    assert grasp.force_n[-1] > 3.0
-    health = bench.cell.health()
-    assert (health["loop"]["cycles"] > 100, health["servo_bus"]["transactions"] > 300) == (
-        True,
-        True,
-    )
-    frames = health["tactile"]
-    assert frames["complete"] > 60
-    assert (frames["torn"], frames["force_received"], frames["void_frames"]) == (0, 0, 0)
-    bench.cell.close()
-    (recorded,) = read_grasps(tmp_path / "recording.mcap")
-    assert (recorded.counts == grasp.counts).all()
 
 
 OPERATED = {"gripper.port": "/dev/ttyUSB0", "positioner": {"kind": "operator"}}
