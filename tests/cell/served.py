@@ -150,8 +150,7 @@ CURVES = {
 }  # fmt: skip
 """Last grasp of each part."""
 GRASP = SimpleNamespace(
-    cycles=(SimpleNamespace(setpoint_n=5.0),),
-    outcome=SimpleNamespace(final_force_n=4.9, short=""),
+    cycles=(SimpleNamespace(setpoint_n=5.0),), outcome=SimpleNamespace(final_force_n=4.9, short="")
 )
 """Record of each grasp."""
 VERIFIED = Verification(held=True, same=True, force_n=GRIP_N, opening_m=9.5e-3)
@@ -325,7 +324,7 @@ class StubPlugin(TactileCellPlugin):
     def report(self, part: Part | None = None, **progress: Any) -> None:
         """Have the job that runs report so much more."""
         job = self.job()
-        self._worker._set(job.number, progress=job.progress | progress, part=part)
+        self._worker._set(job.number, progress=job.progress | progress, part=part or job.part)
 
     def show(self, **values: Any) -> None:
         """Have these values of `HostStatus` from now on."""

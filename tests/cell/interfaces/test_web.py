@@ -334,7 +334,6 @@ def page_examples(host: Client) -> list[str]:
 
 
 def test_a_defect_is_answered_in_the_same_shape(served, host, caplog) -> None:
-
     served.plugin.info = raising(ZeroDivisionError("a defect"))
     status, answer = host.ask("GET", "/api/info")
     check_refusal(status, answer, status=500)

@@ -487,10 +487,7 @@ def frame_json(**changed: str) -> bytes:
 
 @pytest.mark.parametrize(
     ("metadata", "says"),
-    [
-        (None, "has no description"),
-        (GOOD | {"pads": "[" * 100_000}, "does not fit"),
-    ],
+    [(None, "has no description"), (GOOD | {"pads": "[" * 100_000}, "does not fit")],
 )
 def test_other_files_are_refused_before_a_message_is_read(
     metadata: dict[str, str] | None, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
