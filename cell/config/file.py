@@ -19,7 +19,7 @@ from ruamel.yaml.error import MarkedYAMLError, StreamMark, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
 
 from cell.config.model import CellConfig
-from cell.config.section import Installed, Section, sections_in
+from cell.config.section import SIMULATED, Installed, Section, sections_in
 from cell.errors import ConfigError
 from cell.files import read_plain
 from cell.formats import CONFIG
@@ -211,16 +211,23 @@ def load_config(path: Path | None) -> CellConfig:
     ------
     ConfigError
         If the file cannot be read, is not YAML 1.2, has unknown or repeated keys, or values out of
-        range. One message lists all errors.
+        range. One message lists all errors. If it does not name ``gripper.port``: an empty or cut
+        file of a real cell must not be taken for the simulated one.
     """
     if path is None:
         return CellConfig()
     data = read_plain(path, error=ConfigError, what="config", limit_bytes=MAX_BYTES)
     try:
-        return parse_config(data.decode("utf-8"), source=str(path))
+        config = parse_config(data.decode("utf-8"), source=str(path))
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise ConfigError(f"{path}:{line}: not UTF-8 text; save the file as UTF-8") from error
+    if "port" not in config.gripper.model_fields_set:
+        raise ConfigError(
+            f"{path}: gripper.port is missing, of which cell is it? Write the servos' serial port, "
+            f"or `{SIMULATED}` for the simulated cell; `tactile-cell config init` writes a file"
+        )
+    return config
 
 
 def parse_config(text: str, *, source: str) -> CellConfig:

@@ -116,7 +116,7 @@ class GripperConfig(Section):
     """Servos, linkage and limits of the gripper."""
 
     port: str = Field(default=SIMULATED, min_length=1)
-    """Serial port of the servos, for example /dev/ttyUSB0; `simulated`: the simulated gripper."""
+    """Serial port of the servos, for example /dev/ttyUSB0, or `simulated`; a file must name it."""
     baud_rate: Literal[57600, 115200, 1000000, 2000000, 3000000, 4000000, 4500000] = 1000000
     """Baud rate of the servo bus in bit/s; 1000000 is enough for 200 Hz, 57600 is not."""
     servos: tuple[ServoConfig, ...] = Field(

@@ -151,10 +151,10 @@ class CellConfig(Section):
         axes = [port == SIMULATED for port in self.positioner.ports]
         if {*axes, self.tactile.simulated} != {self.simulated}:
             pads = "simulated" if self.tactile.simulated else "real"
+            moves = f", {sum(axes)} of {len(axes)} ports of axes are simulated" if axes else ""
             raise ValueError(
                 f"gripper.port is {self.gripper.port}, the pads (tactile.interface or "
-                f"tactile.sensor.ports) are {pads}, {sum(axes)} of {len(axes)} ports of axes are "
-                "simulated: they must all be `simulated` or all be real, because a real gripper "
+                f"tactile.sensor.ports) are {pads}{moves}: they must all be `simulated` or all be real, because a real gripper "
                 "cannot touch a simulated object"
             )
         keys: dict[str, list[str]] = {}

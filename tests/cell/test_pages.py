@@ -79,8 +79,7 @@ def test_the_page_on_updates_can_be_typed(here) -> None:
 
 def test_the_page_on_recordings_can_be_typed(here) -> None:
     (config,) = blocks("how-to/keep-recordings.md", "yaml")
-    Path("of-the-page.yaml").write_text(config)
-    settings = load_config(Path("of-the-page.yaml")).recording
+    settings = parse_config(config, source="the page").recording
     assert settings == type(settings)()  # the page shows the defaults
     recording = Path("out/serve-20270115-080000/recording.mcap")
     recording.parent.mkdir(parents=True)

@@ -76,7 +76,7 @@ def test_the_ini_option_names_the_config_and_the_command_line_overrules(pytester
     pytester.makeini("[pytest]\ncell_config = cells/a.yaml")
     folder = pytester.mkdir("cells")
     for name in "ab":
-        (folder / f"{name}.yaml").write_text(f"name: {name}\n")
+        (folder / f"{name}.yaml").write_text(f"name: {name}\ngripper: {{port: simulated}}\n")
     pytester.makepyfile(
         """
         def test_name(cell_config, request):

@@ -189,7 +189,7 @@ def test_complaints_name_line_key_and_limit(text, parts) -> None:
 
 def test_dates_and_a_last_line_without_a_break_are_read(tmp_path):
     path = tmp_path / "cell.yaml"
-    path.write_text("# comment\nseed: 3 # comment\nname: 2001-1-1")
+    path.write_text("# comment\nseed: 3 # comment\ngripper: {port: simulated}\nname: 2001-1-1")
     assert (load_config(path).name, load_config(path).seed) == ("2001-1-1", 3)
 
 
@@ -200,6 +200,9 @@ def test_dates_and_a_last_line_without_a_break_are_read(tmp_path):
         ("seed: 3\n".encode("utf-16"), "cell.yaml:1:.* save the file as UTF-8"),
         (b"#" * (MAX_BYTES + 1), "at most"),
         (None, "cannot read config .*check the path"),
+        # A real cell whose file was cut, or emptied.
+        (b"name: press 4\n", "gripper.port is missing"),
+        (b"", "gripper.port is missing"),
     ],
 )
 def test_files_that_are_no_text_or_too_large_are_refused(content, says, tmp_path):

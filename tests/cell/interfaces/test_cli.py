@@ -503,10 +503,11 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
     write_dataset(paths["nameless"], [plain_grasp("")])
     Recorder(paths["empty"], Clock(), pads=taught.grasps[0].pads).close()
     operated = small_text.replace("kind: simulated\n", "kind: operator\n")
+    drawn = "gripper: {{port: simulated}}\nsimulator: {{objects: [{{label: a, shape: '{}'}}]}}\n"
     texts = {
         "config": small_text.replace("FOLDER", str(folder / "out")),
-        "meshed": "simulator: {objects: [{label: a, shape: 'mesh:file=a.stl'}]}\n",
-        "undrawn": "simulator: {objects: [{label: a, shape: 'sphere:diameter=9'}]}\n",
+        "meshed": drawn.format("mesh:file=a.stl"),
+        "undrawn": drawn.format("sphere:diameter=9"),
         "operated": operated,
     }
     for name, text in texts.items():

@@ -77,7 +77,7 @@ def test_what_the_page_types_prints_writes_and_packs(tmp_path, monkeypatch) -> N
     printing, applied, support = commands("how-to/run-as-a-service.md")
     image = tmp_path / "image"
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "cell.yaml").write_text("")
+    (tmp_path / "cell.yaml").write_text("gripper: {port: simulated}")
     printed = call(*printing, "--root", image)
     assert not image.exists()
     for name in WRITTEN:
@@ -151,7 +151,7 @@ def test_the_unit_serves_the_config_and_brings_the_can_up(tmp_path) -> None:
 def test_what_the_service_user_cannot_read_is_named(tmp_path) -> None:
     config = tmp_path / "home" / "cell.yaml"
     config.parent.mkdir(0o755)
-    config.write_text("")
+    config.write_text("gripper: {port: simulated}")
     tmp_path.chmod(0o755)
     assert closed_to_others(config) in (None, *tmp_path.parents)
     config.chmod(0o640)
@@ -470,6 +470,7 @@ def test_without_a_service_the_bundle_says_so(tmp_path: Path, monkeypatch: Any) 
 
 PORTS = ("--modbus", "0", "--xml-rpc", "0", "--http", "0")
 SMALL = """
+gripper: {{port: simulated}}
 self_zero: {zero}
 tactile: {{tare_frames: 25}}
 positioner: {{kind: {kind}}}
