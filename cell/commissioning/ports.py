@@ -99,7 +99,8 @@ def check_port(key: str, port: str) -> Iterator[Finding]:
             SerialStream(port, _BAUD_RATE).close()
         except PortLost as error:
             text = str(error)
-            advice = f"end a program that uses it; if {key} names another port, correct it"
+            step = "end a program that uses it" if Path(port).exists() else "plug the adapter in"
+            advice = f"{step}; if {key} names another port, correct it"
     yield check_result(key, text, advice, ok=not advice, bad=Verdict.FAIL)
     timer_ms = latency_timer_ms(port)
     if timer_ms is not None:

@@ -154,8 +154,8 @@ class CellConfig(Section):
             moves = f", {sum(axes)} of {len(axes)} ports of axes are simulated" if axes else ""
             raise ValueError(
                 f"gripper.port is {self.gripper.port}, the pads (tactile.interface or "
-                f"tactile.sensor.ports) are {pads}{moves}: they must all be `simulated` or all be real, because a real gripper "
-                "cannot touch a simulated object"
+                f"tactile.sensor.ports) are {pads}{moves}: they must all be `simulated` or all be "
+                "real, because a real gripper cannot touch a simulated object"
             )
         keys: dict[str, list[str]] = {}
         for _, key, port in self.serial_ports:

@@ -80,7 +80,7 @@ def requirements(
         _of("drive_mode", 0, mask=_DRIVE_MODE_MASK),
         _of("homing_offset", 0),
         _of("startup_configuration", 0, mask=_STARTUP_MASK),
-        _of("shutdown", protection, expected=f"bits {protection} set", mask=protection),
+        _of("shutdown", protection, expected="bit 2 (overheating) set", mask=protection),
         _of("temperature_limit", round(temperature_max_c), model.temperature_limit_c),
         _of("current_limit", needed_raw, model.current_limit_raw),
         _of("velocity_limit", model.goal_velocity_raw, model.velocity_limit_raw),

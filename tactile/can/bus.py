@@ -5,6 +5,7 @@ others end its receive thread. Its buses have no lock against a second program. 
 driver and a lock correct this.
 """
 
+import errno
 import hashlib
 import logging
 import re
@@ -256,6 +257,8 @@ def open_bus(
         cause: object = error.__cause__ or error
         if isinstance(error, NameError):
             cause = "the library of its driver is missing"
+        if getattr(cause, "errno", None) in (errno.EAGAIN, errno.EBUSY):
+            cause = "another program has it open, end that program first"
         raise BusNotOpened(
             f"CAN interface {interface!r}, channel {channel!r}, cannot be opened: {cause}. "
             f"{_ADVICE.get(interface, _CHECK_NAMES)}"

@@ -27,7 +27,7 @@ from cell.errors import CellError
 from cell.interfaces.access import BUSY_MAX, is_for_this_machine, may_connect, same_secret
 from cell.interfaces.cli.commands.serve import report_until
 from cell.interfaces.http_server import REQUEST_BYTES, HttpServer
-from cell.interfaces.modbus.registers import COMMANDS, VALUES
+from cell.interfaces.modbus.registers import COMMANDS, N_INPUT, N_TEXT, VALUES
 from cell.interfaces.opening import open_interfaces, running, warnings
 from cell.interfaces.page_address import page_address, view_note
 from cell.interfaces.xml_rpc import METHODS, ur_pose
@@ -256,7 +256,10 @@ def test_each_part_reaches_plc_robot_and_program_once(serve) -> None:
 
 def test_no_two_values_or_commands_share_a_place_at_an_interface() -> None:
     numbers = [number for one in COMMANDS for number in one.numbers]
-    registers = [one.register for one in VALUES]
+    registers = [
+        one.register + n for one in VALUES for n in range(N_TEXT if one.kind is str else 1)
+    ]
+    assert max(registers) < N_INPUT
     for places in (registers, numbers):
         assert len(places) == len(set(places))
     assert {one.name for one in COMMANDS} < set(METHODS)
