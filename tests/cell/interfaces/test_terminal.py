@@ -235,7 +235,7 @@ def test_an_answer_from_a_pipe_is_read_line_by_line(monkeypatch, capsys) -> None
         (None, [ModelError], "ModelError"),
         (None, [ModelError, RecordingError], "RecordingError"),
         (RecordingError, [], "RecordingError"),
-        (CellStopped, [RecordingError], "RecordingError"),
+        (ModelError, [RecordingError], "ModelError"),  # the first error of a job ends it
     ],
 )
 def test_a_job_ends_early_unless_its_recording_alone_fails_at_the_end(
