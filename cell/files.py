@@ -58,7 +58,8 @@ def open_plain(path: Path, *, error: type[CellError], what: str) -> BinaryIO:
     except (OSError, ValueError) as cause:
         reason = getattr(cause, "strerror", None) or cause
         raise error(f"cannot read {what} {path}: {reason}; check the path") from cause
-    raise error(f"cannot read {what} {path}: not a plain file; check the path")
+    inside = ", and name a file in this folder" if path.is_dir() else ""
+    raise error(f"cannot read {what} {path}: not a plain file; check the path{inside}")
 
 
 def read_plain(path: Path, *, error: type[CellError], what: str, limit_bytes: int) -> bytes:

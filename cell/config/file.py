@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
-from pydantic_core import PydanticUndefined
+from pydantic_core import ErrorDetails, PydanticUndefined
 from ruamel.yaml import YAML
 from ruamel.yaml.constructor import SafeConstructor
 from ruamel.yaml.error import MarkedYAMLError, StreamMark, YAMLError
@@ -52,7 +52,7 @@ def changed_config(config: _Section, changes: Mapping[str, Any]) -> _Section:
         return type(config).model_validate_json(json.dumps(values))
     except ValidationError as error:
         problems = "; ".join(
-            f"{'.'.join(map(str, item['loc'])) or 'config'}: {item['msg']}{_given(item['input'])}"
+            f"{'.'.join(map(str, item['loc'])) or 'config'}: {_refusal(item)}"
             for item in error.errors(include_url=False)
         )
         raise ConfigError(f"the changed config is not valid: {problems}") from error
@@ -272,17 +272,17 @@ def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
         if item["loc"] in inside:  # a list whose entries are refused counts as empty, too
             continue
         place, key = _locate(root, item["loc"])
-        message = item["msg"].removeprefix("Value error, ")
-        if item["type"] == "extra_forbidden":
-            message = f"unknown key; {_meant(item['loc'])}`tactile-cell config init` writes all"
-        lines.append(f"{source}:{place}: {key or 'config'}: {message}{_given(item['input'])}")
+        lines.append(f"{source}:{place}: {key or 'config'}: {_refusal(item)}")
     more = [f"{source}: {len(lines) - _MAX_COMPLAINTS} more errors"]
     return "\n".join(lines[:_MAX_COMPLAINTS] + more * (len(lines) > _MAX_COMPLAINTS))
 
 
-def _given(value: object) -> str:
-    """Return a refused value for a message; empty for a whole section."""
-    return "" if isinstance(value, dict | list) else f" (found: {value!r:.200})"
+def _refusal(item: ErrorDetails) -> str:
+    """Return why a value is refused, and the value; a whole section is left out."""
+    message, value = item["msg"].removeprefix("Value error, "), item["input"]
+    if item["type"] == "extra_forbidden":
+        message = f"unknown key; {_meant(item['loc'])}`tactile-cell config init` writes all"
+    return message if isinstance(value, dict | list) else f"{message} (found: {value!r:.200})"
 
 
 def _meant(loc: tuple[int | str, ...]) -> str:

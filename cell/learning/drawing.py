@@ -21,7 +21,7 @@ from cell.config.sequence import ramp_from_config
 from cell.config.tactile import layout_from_config
 from cell.control.plan import GraspStep, Pose, plan
 from cell.control.records import pad_array
-from cell.errors import CellError, raised_as
+from cell.errors import ConfigError, raised_as
 from cell.learning.blas import one_blas_thread
 from cell.learning.progress import Progress, silent
 from cell.learning.shape_reading import usual_foam
@@ -380,8 +380,8 @@ def teach_drawing(
 ) -> list[Grasp]:
     """Grasp a drawing ``n_grasps`` times as the cell would, at the poses and forces of its plan.
 
-    Raises CellError if the object does not fit between the open pads, is too thin to be felt, or
-    lies beside them.
+    Raises ConfigError if the object does not fit between the open pads, is too thin to be touched,
+    or lies beside them.
 
     Parameters
     ----------
@@ -401,7 +401,7 @@ def teach_drawing(
     grasps: list[Grasp] = []
     steps = plan(config.sequence, n_grasps, seed=seed)
     for number, step in enumerate(steps):
-        with raised_as(CellError, ValueError, where=f"{label} cannot be grasped"):
+        with raised_as(ConfigError, ValueError, where=f"{label} cannot be grasped"):
             if not grasps:
                 virtual.check(drawing, steps)
             grasp = virtual.grasp(

@@ -98,9 +98,8 @@ class RecordedMessages:
                 if isinstance(record, Metadata) and record.name == schema.METADATA
             )
         except (StopIteration, *_DAMAGE) as cause:
-            why = f" ({reason_text(cause)})" if str(cause) else ""
             raise RecordingError(
-                f"{self.path} is not a recording: it has no description, as {RECORDING} has{why}"
+                f"{self.path} is not a recording: it has no description, as {RECORDING} has"
             ) from cause
         RECORDING.check(metadata.get("format"), self.path, RecordingError)
         if metadata.get("crc32") != schema.metadata_crc32(metadata):

@@ -310,9 +310,7 @@ def test_a_second_program_is_refused_until_the_first_has_ended(adapter) -> None:
     with bus_lock("socketcan", "can77"):
         pass
     with held_elsewhere("slcan", adapter.path) as other:
-        with pytest.raises(
-            BusNotOpened, match="another program has it open"
-        ):
+        with pytest.raises(BusNotOpened, match="another program has it open"):
             open_bus("slcan", adapter.path)
         other.kill()
     close_bus(open_bus("slcan", adapter.path))

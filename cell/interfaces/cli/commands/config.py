@@ -60,7 +60,9 @@ def init(
     print_line(f"wrote {path} and {schema_path}")
 
 
-def check(path: Annotated[Path, typer.Argument(help="Config file.")]) -> None:
+def check(
+    path: Annotated[Path, typer.Argument(help="Config file.")] = options.FOLDER_CONFIG,
+) -> None:
     """Check a config file."""
     config = load_config(path)
     if config.simulated:
