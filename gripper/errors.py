@@ -4,7 +4,7 @@ from gripper.values.servo_checks import VerificationReport, hardware_error_names
 
 _RESULT_CODES = {
     1: "Result Fail: the command was not carried out",
-    2: "Instruction: the servo does not know this instruction",
+    2: "Instruction: the servo has no such instruction",
     3: "CRC: the servo received a damaged packet",
     4: "Data Range: the value is outside the range of the item, or the bus watchdog has tripped",
     5: "Data Length: the data is shorter than the item",

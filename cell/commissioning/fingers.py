@@ -207,7 +207,10 @@ class _Hands:
                     f"{ends[1]} pulses): mount its horn half a turn further"
                 )
         if (least := np.abs(opened - closed).min()) < _MOVED_PULSES:
-            raise StepFailed(f"a servo was moved by {least} pulses only")
+            raise StepFailed(
+                f"a servo was moved by {least} pulses, at least {_MOVED_PULSES} are needed: move "
+                "each finger from open to closed"
+            )
         signs = np.sign(opened - closed)
         on_blocks, sizes_m = self._blocks(closed, signs)
         fits, best = fit_linkages(on_blocks, sizes_m)

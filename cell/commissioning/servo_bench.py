@@ -543,8 +543,8 @@ STEPS: dict[Callable[[Rig, Dialog], Values], tuple[str, int]] = {
     watchdog: ("Silence", 2),
 }
 """Title and usual time in minutes of the steps in their order, a cold servo first. Each returns
-values by name, None for what its readings do not show. Its docstring tells the person the set-up by
-hand and the motion that follows; its name is in the log."""
+values by name, None for what its readings do not show. Its docstring has the set-up by hand and
+the motion that follows; its name is in the log."""
 
 
 # The result: a log, a file with the values, and their comparison with the model

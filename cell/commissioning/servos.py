@@ -206,7 +206,7 @@ def _demand_answers(bench: Bench, dialog: Dialog, port: str, scan: Scan) -> None
     """Set Status Return Level to 2 where it is lower: such a servo confirms no other write."""
     for servo_id, rate in ((servo.identity.servo_id, servo.baud_rate) for servo in scan.servos):
         with bench.servo_bus(port, rate) as bus:
-            bus.ping(servo_id)  # says which control table it has
+            bus.ping(servo_id)  # the bus keeps its control table
             off = bus.answers_off(servo_id)
             level = 0 if off else bus.read(servo_id, STATUS_RETURN_LEVEL)
             if level != ANSWERS_ALL:
@@ -405,7 +405,7 @@ def register_writes(
 def read_control_table(bus: ServoBus, servo_id: int) -> dict[str, int]:
     """Return the raw values of all items that a servo has, by name."""
     table = {}
-    bus.ping(servo_id)  # says which control table it has
+    bus.ping(servo_id)  # the bus keeps its control table
     for register in REGISTERS.values():
         try:
             table[register.name] = bus.read(servo_id, register)

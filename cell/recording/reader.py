@@ -81,9 +81,9 @@ class RecordedMessages:
             open_plain(self.path, error=RecordingError, what="recording") as file,
             raised_as(RecordingError, OSError, where=f"cannot read recording {self.path}"),
         ):
-            if os.fstat(file.fileno()).st_size > MAX_FILE_BYTES:
+            if (size := os.fstat(file.fileno()).st_size) > MAX_FILE_BYTES:
                 raise RecordingError(
-                    f"{self.path}: too long; at most {MAX_FILE_BYTES} bytes are read"
+                    f"{self.path}: {size} bytes, at most {MAX_FILE_BYTES} bytes are read"
                 )
             self._describe(file)
             file.seek(0)

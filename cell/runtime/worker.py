@@ -252,7 +252,9 @@ class CellWorker:
         end_s = math.inf if timeout_s is None else time.monotonic() + timeout_s
         while not (now := self.status(job)).terminal:
             if (left_s := end_s - time.monotonic()) <= 0.0:
-                raise TimeoutError(f"job {job.number} is not over after {timeout_s:g} s")
+                raise TimeoutError(
+                    f"job {job.number} is not over after {timeout_s:g} s: it continues"
+                )
             with self._changed:
                 self._changed.wait_for(
                     lambda: self._jobs[job.number].terminal, min(left_s, SIGNAL_LOOK_S)

@@ -21,7 +21,7 @@ def main() -> None:
             time.sleep(0.05)  # the host does its own work here
         answer = cell.result(job, timeout_s=1)
         print(f"{answer.label}, {answer.probability:.0%} after {answer.n_grasps} grasp(s)")
-        print(f"it feels like: {answer.shape}")  # also where the label is UNKNOWN
+        print(f"measured shape: {answer.shape}")  # also where the label is UNKNOWN
         print(f"  robot: to the bin of {answer.label}, the part in the grip: {answer.in_grip}")
         cell.release()  # there; only this lets go
 

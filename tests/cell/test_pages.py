@@ -134,7 +134,7 @@ def test_the_example_teaches_and_identifies(capsys: pytest.CaptureFixture[str]) 
     assert printed.count("robot:") >= 19
     name, shape, in_grip = printed.splitlines()[-3:]
     assert name.startswith("box, ")
-    assert re.match(r"it feels like: flat, (9\.[7-9]|10\.[0-3]) mm", shape)
+    assert re.match(r"measured shape: flat, (9\.[7-9]|10\.[0-3]) mm", shape)
     assert in_grip == "  robot: to the bin of box, the part in the grip: True"
 
 

@@ -567,7 +567,7 @@ def drifting(ready: Stand) -> None:
     [
         # Both move from half way.
         ("close", "half", "servo 1 by 50.4 deg, servo 2 by 29.5"),
-        ("open_second", "", r"moved by \d pulses only"),
+        ("open_second", "", r"moved by \d pulses, at least"),
         # Something was between the pads when they were to touch.
         ("close", "block 20", r"finger 0 by 4\.[6-9] deg, finger 1 by 4\.[6-9] deg"),
         LONG("free", pinched, r"finger 1 \(servo 2\): did not move"),

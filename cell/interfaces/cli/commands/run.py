@@ -116,7 +116,7 @@ def result_lines(result: MainResult, true_sizes: Mapping[str, str]) -> Iterator[
     )
     for group in [] if shapes is None else shapes["groups"]:
         sizes = f"; {group['text']}" if group["text"] else ""
-        yield f"{group['label']} feels like: {group['kinds']}{sizes}"
+        yield f"measured shape of {group['label']}: {group['kinds']}{sizes}"
     files = {
         "report": result.report,
         "recording": result.recording,
