@@ -12,7 +12,7 @@ from gripper.force.ramp import ForceRamp
 from gripper.mechanics.kinematics import ParallelLinkage
 from gripper.servos.plausibility import FeedbackCheck, MotorTravel
 from gripper.settings import GripperSettings
-from gripper.values.state import GripperPhase, ServoState
+from gripper.values.state import Cycle, GripperPhase, ServoState
 from tests.values import make_servo
 
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
@@ -130,6 +130,17 @@ def test_a_leap_in_a_pause_is_found_before_the_next_goal(cell) -> None:
         cell.gripper.release()
     assert cell.register(0, "goal_position") == goal_raw
     assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
+
+
+def test_no_contradiction_of_a_position_ends_a_release(cell) -> None:
+    cell.hold_part(RAMP)
+
+    def drift(_cycle: Cycle) -> None:
+        cell.servos[0].reported_offset_raw += 4
+
+    cell.gripper.release(drift)
+    assert cell.gripper.phase is GripperPhase.IDLE
+    assert not cell.gripper._servos.feedback.check.letting_go
 
 
 def test_turns_of_a_servo_without_torque_do_not_matter(started) -> None:

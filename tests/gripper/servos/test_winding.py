@@ -150,6 +150,7 @@ def test_a_hot_winding_is_lowered_evenly_and_keeps_its_holding_current_until_it_
     heat.add(at_s + 3601.0, 0.1)
     heat.add(at_s + 3602.0, 0.1)
     assert not heat.hot
+    assert heat.limit_a == XM430_W350.stall_current_a
 
 
 def test_a_pause_without_readings_counts_with_the_last_current() -> None:
