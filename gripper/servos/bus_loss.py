@@ -38,12 +38,10 @@ class BusLossMonitor:
         self._one_sided = 0
         # One loss of the bus just below its limit, with the period of its detection, does not
         # exceed the share.
-        self._most_lost = max(
-            _LEAST_LOST_PERIODS, ceil(settings.bus_loss_s / settings.period_s) + 1
-        )
-        self._recent: deque[bool] = deque(
-            maxlen=ceil(self._most_lost / settings.feedback_loss_max_share)
-        )
+        longest_loss = ceil(settings.bus_loss_s / settings.period_s) + 1
+        self._most_lost = max(_LEAST_LOST_PERIODS, longest_loss)
+        window = ceil(self._most_lost / settings.feedback_loss_max_share)
+        self._recent: deque[bool] = deque(maxlen=window)
 
     def start_counting(self) -> None:
         """Restart the count of periods in a row: the servos were not read for a while."""

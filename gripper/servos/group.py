@@ -378,13 +378,9 @@ class Servos:
         refuse
             True to raise when a row does not agree.
         """
-        report = VerificationReport(
-            rows=tuple(
-                row
-                for servo in self._settings.servos
-                for row in self._verify_one(servo, correct=correct)
-            )
-        )
+        servos = self._settings.servos
+        rows = [row for servo in servos for row in self._verify_one(servo, correct=correct)]
+        report = VerificationReport(rows=tuple(rows))
         if correct:
             self._bus.port.return_delay_s = 0.0
         if refuse and not report.ok:
