@@ -158,7 +158,18 @@ def ask(text: str) -> str:
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
-    """Draw a bar on standard error for each task of a job; see `cell.learning.progress`."""
+    """Draw a bar on standard error for each task of a job; see `cell.learning.progress`.
+
+    Without a terminal it prints a line at the end of each task.
+    """
+    if not err.is_terminal:
+
+        def note(task: str, done: int, total: int) -> None:
+            if done == total:
+                err.print(plain_text(f"{task} {done}/{total}"), soft_wrap=True)
+
+        yield note
+        return
     columns = (
         TextColumn("{task.description:<22}"),
         BarColumn(bar_width=32),

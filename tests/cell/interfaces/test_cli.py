@@ -162,7 +162,7 @@ def test_tables_lose_nothing_on_narrow_terminals_and_in_pipes(monkeypatch, width
     assert all(label in text for label in labels)
     assert ("│" in text) == (width == 80)
     if width is None:
-        assert text.splitlines()[:2] == ["held:", "  long_name: long_name 9, UNKNOWN 1"]
+        assert text.splitlines()[:2] == ["part:", "  long_name: long_name 9, UNKNOWN 1"]
 
 
 def test_the_paper_is_put_beside_its_five_objects(taught, capsys) -> None:
@@ -654,6 +654,14 @@ def test_help_and_completion_load_nothing_heavy(arguments, environment) -> None:
 def test_an_interrupt_outside_a_sequence_is_one(monkeypatch, fail) -> None:
     monkeypatch.setattr("cell.interfaces.cli.commands.doctor.examine", raising(KeyboardInterrupt()))
     assert fail("doctor") == f"{BUILT_IN} error: interrupted"
+
+
+def test_without_a_terminal_the_end_of_each_task_is_a_line(capsys) -> None:
+    with terminal.progress_bar() as progress:
+        progress("teach", 1, 2)
+        assert capsys.readouterr().err == ""
+        progress("teach", 2, 2)
+        assert capsys.readouterr().err == "teach 2/2\n"
 
 
 def test_progress_and_complaints_end_no_job_when_the_terminal_is_gone(monkeypatch) -> None:

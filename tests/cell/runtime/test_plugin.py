@@ -447,7 +447,7 @@ def test_a_model_of_other_pads_is_refused_before_the_cell_is_touched(
 @pytest.mark.slow
 def test_config_files_and_the_context_manager(plugin_class: Any, tmp_path: Path) -> None:
     path = tmp_path / "cell.yaml"
-    path.write_text("name: from a file\nself_zero: never\ntactile: {tare_frames: 10}\n")
+    path.write_text("name: from a file\nself_zero: never\ngripper: {port: simulated}\n")
     with plugin_class(path) as plugin:
         assert plugin.info()["name"] == "from a file"
     assert plugin.status().state == "STOPPED"

@@ -133,7 +133,7 @@ def confusion_table(labels: Sequence[str], confusion: Sequence[Sequence[float]])
     """Return a confusion table: a row for each held object, a column for each answer."""
     columns = [*labels, UNKNOWN] if len(confusion[0]) > len(labels) else list(labels)
     table = Table(header_style="bold")
-    table.add_column("held")
+    table.add_column("part")
     for column in columns:
         table.add_column(plain_text(column), justify="right")
     for row, (label, counts) in enumerate(zip(labels, confusion, strict=True)):
