@@ -26,6 +26,8 @@ from tests import ROOT, blocks, commands
 from tests.cell.cells import small_config
 from tests.marks import LONG
 
+PACKAGES = ("gripper", "tactile", "motion", "recognition", "simulator", "cell", "tests")
+
 
 def typed(page: str) -> Iterator[str]:
     """Type each of our commands on a page, and yield what each prints."""
@@ -48,6 +50,18 @@ def test_the_program_has_each_command_and_option_of_the_pages() -> None:
     assert len(uses) > 40
     for words in uses.values():
         assert CliRunner().invoke(app, [*words, "--help"]).exit_code == 0, words
+
+
+def test_the_pages_for_maintainers_name_files_and_constants_that_exist() -> None:
+    text = "".join((ROOT / page).read_text() for page in ("ARCHITECTURE.md", "docs/how-to/add.md"))
+    rows = [re.findall(r"`([\w./]+)`", row) for row in re.findall(r"^\| .*", text, re.MULTILINE)]
+    for row in rows:
+        paths = [ROOT / name for name in row if name.split("/")[0] in PACKAGES and "/" in name]
+        code = "".join(path.read_text() for path in paths if path.suffix == ".py")
+        constants = [name for name in row if re.fullmatch(r"[A-Z_]{4,}", name)] if code else []
+        assert [str(path) for path in paths if not path.exists()] == []
+        assert [name for name in constants if not re.search(rf"\b{name}\b", code)] == []
+    assert len(rows) > 20
 
 
 @pytest.fixture
