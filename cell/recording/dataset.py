@@ -109,7 +109,7 @@ def read_dataset(path: Path | str, *, limit_bytes: int = DATASET_LIMIT_BYTES) ->
     stored = {array.stored: array.optional for array in _ARRAYS.values()}
     missing = [name for name, optional in stored.items() if name not in arrays and not optional]
     if missing and "model" in arrays:
-        raise DatasetError(f"{path} is a model: name the data sets that taught it")
+        raise DatasetError(f"{path} is a model, not a data set: name another file")
     if missing:
         raise DatasetError(f"{path} is not a grasp data set: {', '.join(missing)} missing")
     if unknown := [name for name in arrays if name not in stored]:

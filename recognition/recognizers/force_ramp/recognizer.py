@@ -271,10 +271,10 @@ class ForceRampTrainer:
         names = np.array([g.label for g in ordered])
         labels, classes, n_of = np.unique(names[touched], return_inverse=True, return_counts=True)
         pressed = dict.fromkeys(members, 0) | dict(zip(labels.tolist(), n_of.tolist(), strict=True))
-        few = {label: n for label, n in pressed.items() if n < MIN_GRASPS}
+        few = [f"{label} {n}" for label, n in pressed.items() if n < MIN_GRASPS]
         if few or not pressed:
             raise ValueError(
-                f"grasps that touched both pads, by object: {few}; each object needs at least "
+                f"grasps that touched both pads: {', '.join(few)}; each object needs at least "
                 f"{MIN_GRASPS} to show its variation: teach more, and press harder"
             )
         levels, grids = levels.take(touched), pad_grids(rest)

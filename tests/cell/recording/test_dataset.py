@@ -106,7 +106,7 @@ def test_optional_arrays_are_left_out_where_nothing_is_known(tmp_path) -> None:
 
 DAMAGE: list[tuple[str, Callable[[Any], Any], str]] = [
     ("counts", lambda _: None, "counts missing"),
-    ("model", lambda _: "x", "is a model: name the data sets"),
+    ("model", lambda _: "x", "is a model, not a data set"),
     ("force_N", lambda _: np.zeros(13), "unknown arrays 'force_N'"),
     ("counts", lambda a: a.astype(np.int32), "expected kind u"),
     ("counts", np.ravel, "shape"),

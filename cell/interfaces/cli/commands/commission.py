@@ -214,7 +214,7 @@ def commission(
     """Set up a new cell step by step, until its first grasp.
 
     Shows each write and motion before it is done. Leave at any time with q or Ctrl-C; the same
-    command continues there. At the end the folder has tactile-cell.yaml and the record,
+    command continues with that step. At the end the folder has tactile-cell.yaml and the record,
     commissioning.md.
     """
     given = {} if servo_port is None else {"gripper.port": servo_port}
@@ -246,7 +246,7 @@ def commission(
                 print_line(f"steps to repeat: {', '.join(engine.redo(key))}")
             files = engine.run(dialog)
     except KeyboardInterrupt:
-        print_note("left; the results are kept. The same command continues there")
+        print_note("left; the results are kept. The same command continues with this step")
         raise typer.Exit(1) from None
     except WizardAborted as left:
         refused = "left: nothing was written; the same command shows the changes again"
