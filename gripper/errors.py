@@ -159,6 +159,11 @@ class WatchdogUnproven(GripperError):
 class FingerBlocked(GripperError):
     """A finger without a part in its grip does not arrive: what stops it may now be held."""
 
+    def __init__(self, text: str, *, opens: bool = False) -> None:
+        super().__init__(text)
+        self.opens = opens
+        """True when it was to open: then it holds nothing, or its position is wrong."""
+
 
 class GraspStopped(GripperError):
     """The running command was stopped by ``request_stop``; the fingers stand still."""

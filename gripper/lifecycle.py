@@ -236,7 +236,7 @@ def fault_response(error: BaseException, runner: LoopRunner, *, moving: bool) ->
     one finger silent or without       both hold their positions: none pushes alone
     torque
     any other, moving fingers          they stop, and this is read back; without current where
-                                       their positions are contradicted
+                                       their positions are contradicted, or one does not open
     any other                          the goals are frozen
     ================================== ==========================================================
 
@@ -253,8 +253,12 @@ def fault_response(error: BaseException, runner: LoopRunner, *, moving: bool) ->
         if isinstance(error, FeedbackImplausible):
             servos.go_limp()
             return FingersLeft.LIMP
-        # With current a servo follows its own position, which may drift.
-        share = 0.0 if isinstance(error, PositionContradicted) else 1.0
+        # With current a servo follows its own position, which may drift: a finger that counts as
+        # stuck on its way open would close.
+        drifts = isinstance(error, PositionContradicted) or (
+            isinstance(error, FingerBlocked) and error.opens
+        )
+        share = 0.0 if drifts else 1.0
         unconfirmed = servos.stop_motion(share) if moving else []
         one_sided = isinstance(error, FingerSilent) or (
             isinstance(error, ServoFault) and error.torque_lost

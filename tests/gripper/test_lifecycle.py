@@ -207,6 +207,21 @@ def test_a_stuck_finger_is_reported(started) -> None:
     assert started.gripper.phase is GripperPhase.HELD_AFTER_FAULT
 
 
+def test_a_finger_that_opens_while_its_reported_position_drifts_closes_at_no_stop(started) -> None:
+    started.gripper.open(0.013)
+    servo, begin_s = started.servos[0], started.clock.monotonic()
+
+    def drift(now_s: float) -> None:
+        servo.reported_offset_raw = round(-0.5 * (now_s - begin_s) / servo.model.rad_per_pulse)
+
+    started.clock.on_advance.append(drift)
+    with pytest.raises(FingerBlocked, match="servo 1"):
+        started.gripper.release()
+    stopped_rad = started.motors[0].angle_rad
+    started.clock.sleep(0.5)
+    assert started.motors[0].angle_rad == pytest.approx(stopped_rad, abs=0.01)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [*range(3), *(LONG(seed) for seed in range(3, 200))])
 def test_the_force_stays_below_its_cap_with_a_wrong_encoder_at_any_moment(make_cell, seed) -> None:

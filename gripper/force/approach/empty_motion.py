@@ -215,7 +215,8 @@ class MoveTo:
                 f"servo {slowest.servo.servo_id}: its finger is stuck: the gripper stands at "
                 f"{moment.state.aperture_m * 1e3:.1f} mm on its way to "
                 f"{self._aperture_m * 1e3:.1f} mm; if nothing blocks it, check "
-                f"{mechanics_text(self._settings, self._linkage)}"
+                f"{mechanics_text(self._settings, self._linkage)}",
+                opens=self._opening,
             )
         return Action(goals=goals, done=arrived)
 
