@@ -7,13 +7,7 @@ from math import inf
 from operator import gt
 
 from gripper.clock import Clock
-from gripper.errors import (
-    BusCorrupt,
-    BusTimeout,
-    ForceSensorStale,
-    GraspStopped,
-    LimitExceeded,
-)
+from gripper.errors import BusCorrupt, BusTimeout, ForceSensorStale, GraspStopped, LimitExceeded
 from gripper.force.timing import LoopStatistics, LoopTimer
 from gripper.mechanics.impact import most_peak_n
 from gripper.mechanics.kinematics import opening_steps_m

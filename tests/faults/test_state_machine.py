@@ -240,6 +240,8 @@ COMMAND_BOUND_S = 40.0
 80 degrees closes at 0.06 rad/s, the limit of its impact: that takes 25 s."""
 _REMOUNTED = ("servoN.jump", "servoN.horn", "servoN.turned")
 """Faults whose end sends a finger to its goal from elsewhere: the world moves it, not the cell."""
+_SUPERVISED = ("IDLE", "HELD", "COMPLETE")
+"""States in which a cell reads its servos between commands."""
 _UNTRUSTED = frozenset(
     {"object.trapped"} | {f"servoN.{name}" for name in ("jump", "stuck", "turn", "drift", "horn")}
 )
@@ -410,8 +412,8 @@ class Driver:
             name = self.simulated.inject(text).entry.name
             self._untrusted = self._untrusted or name in _UNTRUSTED
             self._remounted = self._remounted or name in _REMOUNTED
-            if name in _REMOUNTED and self.controller.life.state.value == "STOPPED":
-                # No host reads the servos, and a servo under torque closes by its own control.
+            if name in _REMOUNTED and self.controller.life.state.value not in _SUPERVISED:
+                # Nothing reads the servos, and a servo under torque closes by its own control.
                 self.monitor.pushed()
 
     def heal(self) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from math import inf
 
 from gripper.dynamixel.models import ServoModel
-from gripper.force.estimates.grip import Grip
+from gripper.force.estimates.grip import Grip, History
 from gripper.mechanics.kinematics import Transmission, mean_friction_n, transmissions
 from gripper.servos.goal_limits import (
     ServoGoal,
@@ -12,14 +12,15 @@ from gripper.servos.goal_limits import (
     most_closed_rad,
     running_lead_rad,
 )
+from gripper.values.recent import LOOK_BACK_S
 from gripper.values.state import ServoFeedback
 
 GIVE_RAD = 0.03
 """Largest opening of a goal beyond the contact in rad: pads and part are not deeper. [assumed]"""
 
 _REST_SHARE = 0.5
-"""Share of the friction by which the drive that stays after an error is above the force: the force
-may be larger than its last sample. It does not grow. [chosen]"""
+"""Share of the friction by which the drive that stays after an error is above the largest force of
+the last frames. The force does not grow. [chosen]"""
 
 
 class DriveGoals:
@@ -39,6 +40,7 @@ class DriveGoals:
         self._contact_rad = self._deepest_rad = contact.angles_rad
         self._least_rad = most_closed_rad(grip.settings, grip.linkage)
         self._stop_rad: tuple[float, ...] | None = None
+        self._balances_n = History()
 
     @property
     def may_open(self) -> bool:
@@ -59,6 +61,9 @@ class DriveGoals:
             self._stop_rad = state.angles_rad
         stop_rad = self._stop_rad or (inf,) * len(paths)
         balance_n, push_n = grip.balance_n, grip.drive_n - grip.balance_n
+        # The newest samples may be those of a fault that is not detected yet.
+        self._balances_n.add(state.t_s, max(balance_n, 0.0))
+        most_n = self._balances_n.most(since_s=state.t_s - LOOK_BACK_S)
         for servo, path, settings, contact_rad, deepest_rad, widest_rad, least_rad in zip(
             state.servos,
             paths,
@@ -71,7 +76,7 @@ class DriveGoals:
         ):
             # A position that drifts open must not move a closing goal to the open side.
             closed_rad = min(least_rad, servo.angle_rad)
-            held_n = max(balance_n, 0.0) + _REST_SHARE * path.friction_n
+            held_n = most_n + _REST_SHARE * path.friction_n
             held_a = min(held_n / path.n_per_a, grip.settings.current_max_a)
             rest = self._closing(settings.servo_model, held_a, deepest_rad, closed_rad)
             # Each servo drives with the same share of its own friction.

@@ -12,12 +12,7 @@ import numpy as np
 from gripper.dynamixel.drive import INERTIA_SD, SIGMAS, DriveCharacteristic
 from gripper.errors import ServoFault
 from gripper.force.loop import Action, LoopRunner, Moment
-from gripper.mechanics.identification import (
-    FreePoint,
-    change,
-    fit_friction,
-    grown,
-)
+from gripper.mechanics.identification import FreePoint, change, fit_friction, grown
 from gripper.servos.motion import position_sd_rad, slow_rad_s
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.state import ServoFeedback, ServoState

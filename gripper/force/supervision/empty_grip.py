@@ -5,12 +5,7 @@ from gripper.force.approach.approach import Approach, ApproachEvent
 from gripper.force.approach.contact import LOADED_SHARE
 from gripper.force.estimates.grip import SOFTEST_N_M
 from gripper.force.loop import Action, Moment
-from gripper.force.supervision.part_watch import (
-    ADVICE,
-    BREAKAWAY_SHARE,
-    RUN_STEPS,
-    FrameMean,
-)
+from gripper.force.supervision.part_watch import ADVICE, BREAKAWAY_SHARE, RUN_STEPS, FrameMean
 from gripper.mechanics.kinematics import Linkage, transmissions
 from gripper.servos.goal_limits import standing
 from gripper.servos.group import frozen
