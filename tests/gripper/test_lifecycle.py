@@ -197,6 +197,19 @@ def test_a_tick_finds_a_tripped_watchdog_too(cell) -> None:
     assert cell.force_n > 1.4
 
 
+def test_goals_that_freeze_after_messages_of_empty_pads_keep_the_force(make_started) -> None:
+    cell = make_started(rate_hz=200.0, noise_n=0.05, stiffness_n_m=2000.0)
+    cell.gripper.grasp(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.1))
+    cell.gripper.hold_at(6.0)
+    held_n, cell.sensor.gain = cell.force_n, 0.0
+    for _ in range(4):
+        cell.clock.sleep(cell.settings.period_s)
+        cell.gripper.tick()
+    cell.gripper.keep_grip()
+    cell.clock.sleep(0.5)
+    assert cell.force_n > 0.8 * held_n
+
+
 def test_a_stuck_finger_is_reported(started) -> None:
     started.gripper.open(0.025)
     for motor in started.motors:
