@@ -3,7 +3,6 @@
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from math import inf
 
 from gripper.errors import GripContradicted, GripperStateError, PartLost
 from gripper.force.approach.approach import Approach, ApproachEvent
@@ -19,7 +18,7 @@ from gripper.force.estimates.free_motion import FreeMotion
 from gripper.force.loop import Action, LoopRunner, Moment
 from gripper.force.ramp import ForceRamp
 from gripper.force.supervision.empty_grip import EmptyGrip
-from gripper.force.supervision.part_watch import RUN_STEPS
+from gripper.force.supervision.part_watch import RUN_STEPS, STEADY_S
 from gripper.force.supervision.slip import LevelSlip
 from gripper.mechanics.kinematics import Linkage
 from gripper.servos.goal_limits import standing
@@ -104,7 +103,8 @@ class GraspRun:
             raise _obstructed(reached)
         if reached.event is not ApproachEvent.CONTACT:
             # Fingers that are slow stick and slip: their last way counts, not their speed.
-            closed_m = reached.stiffness.apertures.at(-inf) - contact.aperture_m
+            apertures = reached.stiffness.apertures
+            closed_m = apertures.at(contact.t_s - STEADY_S) - contact.aperture_m
             closing = closed_m > RUN_STEPS * reached.stiffness.step_m
             closed = contact.aperture_m <= self._settings.aperture_min_m
             self._confirm_empty(contact, ran=closed or closing, approached=True)

@@ -22,6 +22,7 @@ from gripper.errors import (
     ForceAboveCap,
     ForceSensorStale,
     GraspStopped,
+    GripContradicted,
     GripperError,
     GripperStateError,
     LimitExceeded,
@@ -208,6 +209,15 @@ def test_goals_that_freeze_after_messages_of_empty_pads_keep_the_force(make_star
     cell.gripper.keep_grip()
     cell.clock.sleep(0.5)
     assert cell.force_n > 0.8 * held_n
+
+
+def test_fingers_that_stand_at_the_end_of_the_time_are_not_taken_for_empty(make_started) -> None:
+    """Pads that are nearly blind, and a time that ends before the fingers count as stalled."""
+    cell = make_started(rate_hz=200.0, noise_n=0.02, contact_timeout_s=1.0)
+    cell.sensor.gain = 0.03
+    with pytest.raises(GripContradicted, match=r"pads show|empty pads"):
+        cell.gripper.grasp(RAMP)
+    assert cell.force_n > 0.5
 
 
 def test_a_stuck_finger_is_reported(started) -> None:
