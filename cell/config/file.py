@@ -272,6 +272,9 @@ def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
         if item["loc"] in inside:  # a list whose entries are refused counts as empty, too
             continue
         place, key = _locate(root, item["loc"])
+        if item["type"] == "extra_forbidden":
+            hint = _meant(item["loc"])
+            item["msg"] = f"unknown key; {hint}`tactile-cell config init` writes all"
         lines.append(f"{source}:{place}: {key or 'config'}: {_refusal(item)}")
     more = [f"{source}: {len(lines) - _MAX_COMPLAINTS} more errors"]
     return "\n".join(lines[:_MAX_COMPLAINTS] + more * (len(lines) > _MAX_COMPLAINTS))
@@ -280,8 +283,6 @@ def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
 def _refusal(item: ErrorDetails) -> str:
     """Return why a value is refused, and the value; a whole section is left out."""
     message, value = item["msg"].removeprefix("Value error, "), item["input"]
-    if item["type"] == "extra_forbidden":
-        message = f"unknown key; {_meant(item['loc'])}`tactile-cell config init` writes all"
     return message if isinstance(value, dict | list) else f"{message} (found: {value!r:.200})"
 
 
