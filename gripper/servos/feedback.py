@@ -6,7 +6,16 @@ from typing import NamedTuple
 
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.control_table import PRESENT_BLOCK, TICK_MODULO
+from gripper.dynamixel.control_table import (
+    PRESENT_BLOCK,
+    PRESENT_CURRENT,
+    PRESENT_INPUT_VOLTAGE,
+    PRESENT_POSITION,
+    PRESENT_PWM,
+    PRESENT_TEMPERATURE,
+    REALTIME_TICK,
+    TICK_MODULO,
+)
 from gripper.errors import BusCorrupt
 from gripper.mechanics.kinematics import Linkage, transmissions
 from gripper.servos.motion import ServoMotion
@@ -88,7 +97,7 @@ class Feedback:
         raws = self._bus.sync_read(self._ids, PRESENT_BLOCK)
         now_s = self._clock.monotonic()
         for servo_id, raw in raws.items():
-            problem = self._ticks[servo_id].check(raw["realtime_tick"], sent_s, now_s)
+            problem = self._ticks[servo_id].check(raw[REALTIME_TICK.name], sent_s, now_s)
             if problem is not None:
                 try:
                     # An old answer has another length, so it cannot pass for this one.
@@ -121,19 +130,19 @@ class Feedback:
     def _servo_state(
         self, servo: ServoSettings, raw: dict[str, int], now_s: float, *, under_torque: bool
     ) -> ServoState:
-        model, position_raw = servo.servo_model, raw["present_position"]
+        model, position_raw = servo.servo_model, raw[PRESENT_POSITION.name]
         # Under torque a servo cannot lose or gain a turn: a change is an error and must be found.
         turns = self.turns.setdefault(servo.servo_id, servo.turns(position_raw))
         angle_rad = servo.angle_rad(position_raw, turns)
-        tick_ms = raw["realtime_tick"]
+        tick_ms = raw[REALTIME_TICK.name]
         motion = self._motions[servo.servo_id]
         speed_rad_s = motion.speed_rad_s(tick_ms, angle_rad)
-        present_a = raw["present_current"] * model.current_unit_a * servo.direction
-        voltage_v = supply_v = raw["present_input_voltage"] * model.voltage_unit_v
+        present_a = raw[PRESENT_CURRENT.name] * model.current_unit_a * servo.direction
+        voltage_v = supply_v = raw[PRESENT_INPUT_VOLTAGE.name] * model.voltage_unit_v
         if model.supply_current:
             supply = self._supplies[servo.servo_id]
             supply_v = supply.steady_v(voltage_v, under_torque=under_torque)
-        pwm_share = raw["present_pwm"] / model.whole_pwm_raw * servo.direction
+        pwm_share = raw[PRESENT_PWM.name] / model.whole_pwm_raw * servo.direction
         current_a, motor_a = winding_a(model, present_a, pwm_share, supply_v, speed_rad_s)
         motor, heat = self.check.motors[servo.servo_id], self._heats[servo.servo_id]
         heat.add(now_s, current_a)
@@ -147,7 +156,7 @@ class Feedback:
             pwm_share=pwm_share,
             motor_rad_s=motor.least_rad_s(pwm_share * supply_v, motor_a),
             position_raw=position_raw,
-            temperature_c=float(raw["present_temperature"]),
+            temperature_c=float(raw[PRESENT_TEMPERATURE.name]),
             voltage_v=voltage_v,
             supply_v=supply_v,
             tick_ms=tick_ms,
