@@ -45,15 +45,10 @@ _BRAKING_S = 0.1
 """How long that may take, in s."""
 _WATCHDOG_S = 0.02
 """What a servo's bus watchdog may take longer than it is set to, in s."""
-_SILENT = (
-    "PortLost",
-    "BusTimeout",
-    "BusCorrupt",
-    "BusUnreliable",
-    "FingerSilent",
-    "did not take the goal",
-)
-"""Words of faults in which a servo may hear nothing: its bus watchdog alone stops it."""
+_SILENT = (101, 102, 103, 105, 106, 115)
+"""Numbers of faults in which a servo may hear nothing: its bus watchdog alone stops it."""
+_GOAL_LOST = "did not take the goal"
+"""Words of a fault 109 in which it has not heard the stop."""
 _FAULTED = (CellState.ABORTING, CellState.ABORTED, CellState.CLEARING, CellState.RESETTING)
 _COUNTERS = (
     attrgetter("lost", "torn", "duplicate", "reordered", "stale", "short", "corrupt"),
@@ -119,7 +114,7 @@ class InvariantMonitor:
         self._moving_s, self._motion = -math.inf, GripperPhase.OFF
         self._phase_before: GripperPhase | None = None
         self._stood_m: float | None = None
-        self._braking_m = _BRAKING_M
+        self._braking_m, self._silent = _BRAKING_M, False
         self._frozen_raw: list[int] | None = None
         self._pushed_s = -math.inf
         self._most_n = 0.0
@@ -160,6 +155,8 @@ class InvariantMonitor:
             yield
         finally:
             self._deadline_s = float("inf")
+        # A fault that the next command clears at once must be seen too.
+        self._look(self._simulated.clock.monotonic())
         state = None if self._cell is None else self._cell.controller.life.state
         if state is not None and state.acting:
             self._break(f"a command is over and the cell is still {state.value}")
@@ -216,7 +213,7 @@ class InvariantMonitor:
         if controller is not None:
             self._note_times(now_s, controller)
             self._look_at_goals(controller)
-            self._look_at_rest(controller, disturbed=pushed)
+            self._look_at_rest(controller, disturbed=pushed, touching=touching)
         if now_s > self._deadline_s:
             self._break("a command did not end within its time")
             self._deadline_s = float("inf")
@@ -315,18 +312,24 @@ class InvariantMonitor:
 
     def _hears_nothing(self) -> bool:
         """Return whether a servo hears nothing, so that its watchdog alone stops it."""
-        fault = None if self._cell is None else self._cell.controller.life.fault
-        return fault is not None and any(word in fault for word in _SILENT)
+        latched = None if self._cell is None else self._cell.controller.life.latched
+        if latched is None:
+            return False
+        return latched.number in _SILENT or _GOAL_LOST in latched.text
 
-    def _look_at_rest(self, controller: CellController, *, disturbed: bool) -> None:
-        """Judge that fingers at rest stay where they were when their motion ended."""
+    def _look_at_rest(self, controller: CellController, *, disturbed: bool, touching: bool) -> None:
+        """Judge that fingers at rest stay where they were when their motion ended.
+
+        On a part they follow the foam as the force falls: `_contact_lost` judges them.
+        """
         phase = controller.hand.phase
+        # A fault that is cleared leaves the fingers on their way.
+        self._silent = phase in _RESTING and (self._silent or self._hears_nothing())
         free = disturbed or self.limp_allowed or self._asked or not all(self._torque)
         if free or phase not in _RESTING:
             self._stood_m = None
             return
-        silent = self._hears_nothing()
-        if silent and self._has_fault("servoN.watchdog_off"):
+        if self._silent and self._has_fault("servoN.watchdog_off"):
             self._stood_m = None
             return
         opening_m = self._simulated.devices.mechanics.aperture_m
@@ -336,11 +339,11 @@ class InvariantMonitor:
             disturbed_line = any(name.startswith("servos.") for name in faults)
             self._braking_m = _BRAKING_M + (_LOST_ANSWER_M if disturbed_line else 0.0)
         allowed_m = self._braking_m
-        if silent:
+        if self._silent:
             allowed_m += self._open_speed_m_s * self._watchdog_s
         if self._has_fault(_LOST_REQUESTS):
             allowed_m += _BEYOND_M
-        if opening_m > self._stood_m + allowed_m:
+        if opening_m > self._stood_m + allowed_m and not touching:
             self._break(
                 f"the fingers went on from {1e3 * self._stood_m:.2f} to {1e3 * opening_m:.2f} mm "
                 f"after their stop, {controller.life.state}, {phase}"
