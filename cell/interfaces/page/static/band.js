@@ -71,7 +71,12 @@ export function renderBand({ link, info, state }) {
   document.body.classList.toggle("starting", !state && Number.isFinite(link.age_s));
   let level = "bad";
   let sign = "away";
-  if (link.stale) {
+  if (link.stale && (!link.token || link.stopped)) {
+    setText(byId("state"), t("state.away"));
+    setText(byId("since"), "");
+    setText(byId("doing"), t("band.no_token"));
+    setText(byId("doing_more"), "");
+  } else if (link.stale) {
     setText(byId("state"), t("state.away"));
     setText(byId("since"), state
       ? t("band.last_seen", { clock: clock(link.heard_s), ago: duration(link.age_s) }) : t("band.never_seen"));

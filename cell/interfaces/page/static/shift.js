@@ -72,10 +72,10 @@ export function renderShift(view) {
     }),
   ]);
   const counts = Object.entries(shift?.counts ?? {}).sort((a, b) => b[1] - a[1]);
-  renew(byId("counts"), [counts, shift?.since_s], () => [
+  renew(byId("counts"), [counts, shift?.since_s, !state], () => [
     ...counts.map(([label, n]) => make("span", { class: label === "UNKNOWN" ? "count unknown" : "count" },
       labelWord(label), " ", make("b", {}, number(n)))),
-    make("span", { class: "muted" }, !shift ? t("shift.none") : !counts.length ? t("shift.empty")
+    make("span", { class: "muted" }, !state ? "" : !shift ? t("shift.none") : !counts.length ? t("shift.empty")
       : shift.since_s ? t("shift.since", { clock: clockShort(shift.since_s) }) : ""),
   ]);
 }
