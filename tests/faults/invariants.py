@@ -195,7 +195,7 @@ class InvariantMonitor:
         controller = None if self._cell is None else self._cell.controller
         phase = self._phase()
         if phase in _OPENING and phase is not self._phase_before:
-            self._look_at_opening(part_n)
+            self._look_at_opening(now_s, part_n)
         self._phase_before = phase
         if phase is not None and phase.moving:
             self._moving_s, self._motion = now_s, phase
@@ -226,23 +226,27 @@ class InvariantMonitor:
     def _world_pushes(self, now_s: float) -> bool:
         """Return whether something trapped presses, or has just gone and let the fingers fall.
 
-        A horn that has just slipped sends its finger to the goal from elsewhere.
+        A horn that has just slipped sends its finger to the goal from elsewhere. So does an encoder
+        that jumps while a start reads the registers, not the positions.
         """
+        starts = self._cell is not None and self._cell.controller.life.state is CellState.STARTING
         for fault in self._simulated.injector.faults:
             began_s = fault.began_s
             if began_s is not None and fault.entry.name == "object.trapped":
                 self._pushed_s = now_s
-            elif began_s is not None and fault.entry.name == "servoN.horn":
+            elif began_s is not None and (
+                fault.entry.name == "servoN.horn" or (starts and fault.entry.name == "servoN.jump")
+            ):
                 self._pushed_s = max(self._pushed_s, began_s)
         return self.world_pushes or now_s - self._pushed_s < _FALL_S
 
-    def _look_at_opening(self, force_n: float) -> None:
+    def _look_at_opening(self, now_s: float, force_n: float) -> None:
         """Judge that fingers which begin to open by themselves have found the part, or hold none.
 
         What is judged is the world: what the cell has measured may be wrong. Fingers without torque
         hold nothing.
         """
-        free = self._asked or not all(self._torque)
+        free = self._asked or not all(self._torque) or self._world_pushes(now_s)
         if free or self._cell is None or force_n < self._contact_force_n:
             return
         if not self._cell.local_hand.gripper._life.part_possible:
