@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from joblib.externals.loky import get_reusable_executor
 
-from recognition.evaluation.metrics import wilson_interval
+from recognition.evaluation.evaluation import wilson_interval
 
 _Result = TypeVar("_Result")
 

@@ -27,7 +27,7 @@ from cell.control.positioner import (
     Supervise,
 )
 from cell.control.records import pad_array
-from cell.control.self_zero import stored_zeros
+from cell.control.zeroing import stored_zeros
 from cell.errors import CellStateError, ConfigError, RecordingError
 from cell.hand.client import HandProcess
 from cell.hand.connections import MISSING, HandConnections

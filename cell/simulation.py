@@ -34,7 +34,7 @@ from simulator.cell import SimulatedCell
 from simulator.errors import PartGripped, SimulatorError
 from simulator.faults.injector import check_fault
 from simulator.faults.vocabulary import VOCABULARY
-from simulator.realtime.requests import CellRequests
+from simulator.realtime.process import CellRequests
 from simulator.servo.gearing import GEARINGS, Gearing, drawn_gearing
 from simulator.servo.mechanics import (
     LARGEST_LINK_ANGLE_RAD,
@@ -46,10 +46,8 @@ from simulator.servo.mechanics import (
 from simulator.servo.motor import OverloadRule
 from simulator.servo.wrist import WristMount
 from simulator.settings import SimulatedServoSettings, SimulatorSettings
-from simulator.world.press import PadPair
-from simulator.world.shape_files import parse_shape
-from simulator.world.shapes import ObjectPose, Shape, thicknesses_m
-from simulator.world.taxels import NoiseModel, SensorLaw
+from simulator.world.pads import NoiseModel, PadPair, SensorLaw
+from simulator.world.shapes import ObjectPose, Shape, parse_shape, thicknesses_m
 from simulator.world.world import NOTHING
 from tactile.can.bus import CanBus
 from tactile.errors import BusNotOpened
@@ -327,7 +325,7 @@ class SimulationRequests:
         cell.clock.on_advance.append(lambda _now_s: self._answer())
 
     def __call__(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Carry out a request of `simulator.realtime.requests` and return its reply.
+        """Carry out a request of `simulator.realtime.process` and return its reply.
 
         Raises RequestRefused if it cannot be carried out, CellStateError if a part is in the grip,
         or if the cell is busy.

@@ -21,7 +21,7 @@ from canopen.profiles.p402 import State402
 from motion import errors, object_dictionary as od
 from motion.axes import POLL_S, Axis, AxisSettings, Watch
 from motion.object_dictionary import HomingMethod, ModeOfOperation, Status
-from tactile.can.receiver import PolledSource, of_another_kind
+from tactile.can.bus import PolledSource, of_another_kind
 from tactile.can.sdo_client import PolledSdoClient, SdoNotAnswered
 from tactile.errors import LinkFault, NodeMissing, ObjectRefused
 

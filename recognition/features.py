@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.grasp import PadArray
-from recognition.ramp.levels import Levels
-from recognition.ramp.ramp import Rest
+from recognition.ramp.ramp import Levels, Rest
 
 FEATURE_VERSION = 13
 """Version of the features and of their use in a model. Models of another version are refused."""
@@ -46,7 +45,7 @@ _TIME_FLOOR_S = 0.05
 _LEAST_LOAD = 0.01
 """Least divisor of the shares of a profile, in full scales of a taxel."""
 _HARMONIC_LEVELS = (1, 4)
-"""Levels of `recognition.ramp.levels.LOAD_FRACTIONS` for the harmonics: 0.5 and 1."""
+"""Levels of `recognition.ramp.ramp.LOAD_FRACTIONS` for the harmonics: 0.5 and 1."""
 _WIDTHS_MM = (2.0, 3.4, 5.4)
 """Standard deviations of the Gaussian windows in mm."""
 _CRESTS = (1, 2, 3, 4)

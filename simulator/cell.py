@@ -2,7 +2,7 @@
 
 from typing import Self
 
-from simulator.can.memory_bus import InMemoryCanBus
+from simulator.can.link import InMemoryCanBus
 from simulator.clock import VirtualClock
 from simulator.devices import CellDevices
 from simulator.errors import PortUnplugged, SimulatorStateError

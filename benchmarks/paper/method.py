@@ -6,11 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks._measure import line, repeats
-from benchmarks.paper.grasps import press, random_grasp, record
-from benchmarks.paper.reproduction import LABELS, NOISE_SHARES, SEED, TOUCH_N
+from benchmarks.paper.reproduction import (
+    LABELS,
+    NOISE_SHARES,
+    SEED,
+    TOUCH_N,
+    press,
+    random_grasp,
+    record,
+)
 from recognition.errors import QuadricError
 from recognition.grasp import Grasp
-from recognition.quadric.algorithm import PAPER_SWEEP, SweepSettings, sweep
 from recognition.quadric.level import MeanFrames
 from recognition.quadric.proofs import (
     SOLVERS,
@@ -22,12 +28,15 @@ from recognition.quadric.proofs import (
     substituted,
 )
 from recognition.quadric.quadric import (
+    PAPER_SWEEP,
     Reading,
+    SweepSettings,
     by_inverse,
     height_field_matrix,
     rotation_xyz,
     scaling,
     smallest_eigenvalue,
+    sweep,
     translation,
 )
 from recognition.recognizer import UNKNOWN

@@ -20,15 +20,13 @@ from benchmarks._measure import in_own_process, line, repeats, same
 from benchmarks.recognition._grasps import grasps_at_hand
 from cell.archive.ingest import ingest
 from cell.archive.questions import ask
-from cell.archive.table import grasp_key
+from cell.archive.store import grasp_key
 from cell.files import json_bytes
-from cell.learning.parallel import workers
-from cell.learning.progress import silent
+from cell.learning.parallel import silent, workers
 from cell.recording.dataset import read_dataset, write_dataset
 from recognition.features import features_of
 from recognition.grasp import Grasp
-from recognition.ramp.levels import load_levels
-from recognition.ramp.ramp import learn_rest
+from recognition.ramp.ramp import learn_rest, load_levels
 
 _GRASPS, _OF_FILE = 4000, 250
 """Grasps at effort 1, and of a data set."""

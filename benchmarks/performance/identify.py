@@ -19,8 +19,7 @@ from cell.control.identification import Identification
 from cell.control.plan import Keep
 from cell.learning.taught_model import TaughtModel
 from cell.runtime.goals import IdentifyGoal, SortGoal, TeachGoal
-from cell.runtime.sort import simulated_feed
-from cell.runtime.tasks import ModelFile, Tasks
+from cell.runtime.tasks import ModelFile, Tasks, simulated_feed
 from cell.runtime.worker import Report
 from recognition.recognizer import UNKNOWN
 

@@ -11,14 +11,14 @@ from unittest.mock import patch
 import numpy as np
 
 from benchmarks._measure import share
-from benchmarks.paper.grasps import PAPER_NOISE, random_grasp
+from benchmarks.paper.reproduction import PAPER_NOISE, random_grasp
 from cell.build import build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.recording.dataset import read_dataset
 from cell.runtime.tasks import Collection
 from cell.simulation import simulator_settings
-from recognition.evaluation.metrics import interval_by_object
+from recognition.evaluation.evaluation import interval_by_object
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Recognizer
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer

@@ -32,8 +32,7 @@ from recognition.drift.drift import Drift, drift_text
 from recognition.evaluation.splits import a_day_later, chronological_split
 from recognition.features import PadGrid, features_of, pad_grid, pressed
 from recognition.grasp import Grasp
-from recognition.ramp.levels import load_levels
-from recognition.ramp.ramp import learn_rest
+from recognition.ramp.ramp import learn_rest, load_levels
 from recognition.recognizers import make_trainer, trainer_names
 from recognition.statistics.calibration import blocked_folds
 

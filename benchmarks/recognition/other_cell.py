@@ -30,9 +30,7 @@ from recognition.grasp import Grasp
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer, ForceRampTrainer
 from simulator.servo.mechanics import ServoMount
 from simulator.settings import SimulatedServoSettings
-from simulator.world.foam import Foam
-from simulator.world.press import PadPair
-from simulator.world.taxels import SensorLaw
+from simulator.world.pads import Foam, PadPair, SensorLaw
 from tactile.errors import TactileError
 
 TAUGHT = {

@@ -10,10 +10,9 @@ from typing import Any
 from zipfile import BadZipFile, ZipFile
 
 from cell.archive.selection import of_cell
-from cell.archive.store import Archive
-from cell.archive.table import Row, batches, recording_rows
+from cell.archive.store import Archive, Row, batches, recording_rows
 from cell.errors import ArchiveError, CellError, reason_text
-from cell.learning.blas import one_blas_thread
+from cell.learning.parallel import one_blas_thread
 from cell.recording.dataset import read_dataset
 from cell.recording.reader import read_recording
 from cell.recording.sink import in_use

@@ -19,8 +19,8 @@ from scipy.special import stdtrit
 from cell.archive.selection import EVERYTHING, Selection
 from cell.archive.store import Archive
 from cell.errors import ArchiveError
-from recognition.drift.spread import day_effects
-from recognition.evaluation.metrics import wilson_interval
+from recognition.drift.drift import day_effects
+from recognition.evaluation.evaluation import wilson_interval
 from recognition.recognizer import UNKNOWN
 
 _COLUMNS = (

@@ -21,7 +21,7 @@ from cell.commissioning.findings import (
 from cell.commissioning.ports import check_port
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration
-from cell.control.self_zero import drive_text, stored_zeros
+from cell.control.zeroing import drive_text, stored_zeros
 from cell.errors import CellError
 from cell.hand.connections import MISSING
 from cell.hand.interface import FORCE_FROM_FRAMES

@@ -19,8 +19,7 @@ from cell.commissioning.findings import STORE_NAME, Notes, ProposedChange, read_
 from cell.config.file import config_text, schema_text
 from cell.errors import CellError
 from cell.fault_catalogue import error_text
-from cell.files import write_text
-from cell.formats import COMMISSIONING, write_json
+from cell.files import COMMISSIONING, write_json, write_text
 from gripper.errors import GripperError
 from tactile.errors import TactileError
 

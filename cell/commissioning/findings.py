@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from cell.errors import CellError
-from cell.formats import COMMISSIONING, read_json
+from cell.files import COMMISSIONING, read_json
 
 STORE_NAME = "commissioning.json"
 """File in the cell's folder with the entries of the steps."""

@@ -18,7 +18,7 @@ from cell.commissioning.findings import Notes, ProposedChange
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.config.sequence import ramp_from_config
-from cell.control.self_zero import drive_text, homing_offsets, part_between, stored_zeros
+from cell.control.zeroing import drive_text, homing_offsets, part_between, stored_zeros
 from cell.hand.client import HandProcess
 from cell.hand.interface import Hand
 from cell.hand.local import open_hand

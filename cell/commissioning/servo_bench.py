@@ -21,8 +21,7 @@ from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, StepFailed
 from cell.commissioning.servos import lone_servo
 from cell.errors import CellError
-from cell.files import free_name, write_text
-from cell.formats import SERVO_BENCH, write_json
+from cell.files import SERVO_BENCH, free_name, write_json, write_text
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_BLOCK, REGISTERS, TICK_MODULO, WATCHDOG_UNIT_S

@@ -13,8 +13,7 @@ from cell.commissioning.engine import Dialog, Step, StepFailed
 from cell.commissioning.findings import Notes, ProposedChange
 from cell.config.gripper import use_servo_models
 from cell.errors import CellError
-from cell.files import free_name
-from cell.formats import SERVO_BACKUP, read_json, write_json
+from cell.files import SERVO_BACKUP, free_name, read_json, write_json
 from cell.plugins import SERVO_MODELS
 from gripper.dynamixel.bus import ANSWERS_ALL, HIGHEST_ID, ServoBus, ServoIdentity, protocol_1_text
 from gripper.dynamixel.control_table import (

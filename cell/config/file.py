@@ -21,8 +21,7 @@ from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
 from cell.config.model import CellConfig
 from cell.config.section import SIMULATED, Installed, Section, sections_in
 from cell.errors import ConfigError
-from cell.files import read_plain
-from cell.formats import CONFIG
+from cell.files import CONFIG, read_plain
 
 _Section = TypeVar("_Section", bound=BaseModel)
 

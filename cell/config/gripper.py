@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from cell.config.section import MILLI, SIMULATED, Installed, Section, declared_values, setting_of
 from cell.errors import ConfigError, raised_as
-from cell.formats import SERVO_BENCH, read_json
+from cell.files import SERVO_BENCH, read_json
 from cell.plugins import SERVO_MODELS
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import (

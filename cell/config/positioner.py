@@ -8,7 +8,7 @@ from cell.config.gripper import use_servo_models
 from cell.config.section import SIMULATED, Installed, Section, refuse_repeats
 from cell.config.sequence import Range, SequenceConfig
 from cell.errors import ConfigError, raised_as
-from cell.formats import checked_label
+from cell.files import checked_label
 from cell.plugins import SERVO_MODELS
 from gripper.dynamixel.models import MODELS, XM430_W350
 from gripper.errors import LimitExceeded

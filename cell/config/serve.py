@@ -8,7 +8,7 @@ from typing import Annotated, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from cell.config.section import Section, refuse_repeats
-from cell.formats import checked_label
+from cell.files import checked_label
 
 
 def _address(text: str) -> str:

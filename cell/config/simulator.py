@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from cell.config.section import Section, refuse_repeats
-from cell.formats import checked_label
+from cell.files import checked_label
 
 
 class SimulatedObjectConfig(Section):

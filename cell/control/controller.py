@@ -16,12 +16,11 @@ from cell.control.moves import Moves
 from cell.control.plan import GraspStep, Keep, Pose
 from cell.control.positioner import PatientCaller, Positioner, in_thread
 from cell.control.records import GraspRecord, pad_array, spliced
-from cell.control.self_zero import SelfZeros, homing_offsets
 from cell.control.states import CellState, Command, Event
 from cell.control.watch import MotionWatch
-from cell.control.zeroing import BORNE_SHARE, Zeroing
+from cell.control.zeroing import BORNE_SHARE, SelfZeros, Zeroing, homing_offsets
 from cell.errors import NoPartFound, PartInGrip, PlanRefused, raised_as
-from cell.formats import check_text
+from cell.files import check_text
 from cell.hand.interface import FORCE_FROM_FRAMES, Hand, LatestValues
 from cell.recording.recorder import Recorder
 from gripper.clock import Clock
@@ -51,7 +50,7 @@ NOTHING_HELD = {
 
 BACK_OFF_SHARE = 0.3
 """Start of a further ramp in the same grip, as a share of its end: the lowest level of load at
-which a recognizer takes footprints (`recognition.ramp.levels`)."""
+which a recognizer takes footprints (`recognition.ramp.ramp`)."""
 
 LEAST_CONTACTS = 2.0
 """Least start of a further ramp, in contact forces. A part held with one contact force is sometimes

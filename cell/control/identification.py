@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from cell.control.plan import GraspStep, Keep
 from cell.control.records import GraspRecord
 from cell.fault_catalogue import error_text
-from recognition.drift.grid import DriftFollowing, DriftGrid
+from recognition.drift.drift import DriftFollowing, DriftGrid
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior, Recognizer

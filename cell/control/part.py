@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, computed_field, field_seriali
 from recognition.recognizer import UNKNOWN
 
 if TYPE_CHECKING:
-    from recognition.drift.grid import DriftGrid
+    from recognition.drift.drift import DriftGrid
     from recognition.shape.answer import ShapeAnswer
 else:  # their libraries are loaded with the first cell
     DriftGrid = ShapeAnswer = Any

@@ -189,7 +189,7 @@ class SocketPlacer:
         self._socket.close()
 
     def ask(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Send one request of `simulator.realtime.requests`, return its reply.
+        """Send one request of `simulator.realtime.process`, return its reply.
 
         Raises PositionerError if it is refused or the connection is lost.
         """

@@ -8,8 +8,7 @@ from typing import Any
 
 from cell.errors import CellError, raised_as
 from cell.evaluation.selected_grasps import LEFT_OUT, left_out_in_turn
-from cell.learning.blas import one_blas_thread
-from cell.learning.progress import Progress
+from cell.learning.parallel import Progress, one_blas_thread
 from cell.plugins import RECOGNIZERS
 from recognition.evaluation.evaluation import Evaluation, Mapper, evaluate, one_by_one
 from recognition.evaluation.splits import TrainTest, chronological_split, parse_split

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 from cell.archive.selection import cell_of, day_of
 from cell.learning.model import Trained
-from recognition.drift.grid import DriftFollowing, DriftGrid, DriftPrior
-from recognition.drift.spread import learn_spread
+from recognition.drift.drift import DriftFollowing, DriftGrid, DriftPrior, learn_spread
 from recognition.grasp import Grasp
 
 

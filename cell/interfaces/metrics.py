@@ -4,8 +4,8 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+from cell.service.history import Sum
 from cell.service.service import Service
-from cell.service.shift import Sum
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 """Format of `metrics_text`."""

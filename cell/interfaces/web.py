@@ -34,7 +34,7 @@ from cell.errors import (
     RequestRefused,
 )
 from cell.fault_catalogue import CATALOGUE, Refusal
-from cell.formats import MAX_TEXT
+from cell.files import MAX_TEXT
 from cell.interfaces.access import is_loopback, read_secret, same_secret, view_token
 from cell.interfaces.http_server import REMEDIES, REQUEST_BYTES, HttpServer, refusal
 from cell.interfaces.metrics import CONTENT_TYPE, metrics_text

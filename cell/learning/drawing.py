@@ -22,8 +22,7 @@ from cell.config.tactile import layout_from_config
 from cell.control.plan import GraspStep, Pose, plan
 from cell.control.records import pad_array
 from cell.errors import ConfigError, raised_as
-from cell.learning.blas import one_blas_thread
-from cell.learning.progress import Progress, silent
+from cell.learning.parallel import Progress, one_blas_thread, silent
 from cell.learning.shape_reading import usual_foam
 from cell.simulation import converter_noise
 from gripper.force.ramp import ForceRamp

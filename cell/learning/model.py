@@ -19,10 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import ConfigError, ModelError, reason_text
-from cell.files import DAMAGE, read_npz, savez, write_atomically
-from cell.formats import MODEL, PROGRAM, check_text
+from cell.files import DAMAGE, MODEL, PROGRAM, check_text, read_npz, savez, write_atomically
 from cell.plugins import RECOGNIZERS
-from recognition.drift.grid import DriftFollowing
+from recognition.drift.drift import DriftFollowing
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import Recognizer

@@ -5,7 +5,7 @@ import numpy as np
 from cell.config.model import CellConfig
 from cell.config.tactile import PaperCalibrationConfig, layout_from_config, make_calibration
 from cell.control.identification import ReadShape
-from cell.learning.blas import one_blas_thread
+from cell.learning.parallel import one_blas_thread
 from recognition.errors import ContactError
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN

@@ -21,8 +21,7 @@ from cell.learning.training import gaugeable, gauged, train
 from cell.plugins import RECOGNIZERS
 from cell.recording.dataset import read_dataset, write_dataset
 from gripper.values.outcome import GraspResult
-from recognition.drift.drift import Drift, drift_text
-from recognition.drift.grid import DriftFollowing, DriftGrid
+from recognition.drift.drift import Drift, DriftFollowing, DriftGrid, drift_text
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cell.learning.blas import one_blas_thread
+from cell.learning.parallel import one_blas_thread
 from recognition.grasp import DRAWING_SOURCE, Grasp, by_label, series_of
 from recognition.recognizer import Posterior, Trainer
 from recognition.statistics.calibration import blocked_folds

@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 
 from cell.control.identification import ReadShape
 from cell.errors import CellError, ModelError, RequestRefused, TooFewGrasps, raised_as
-from cell.learning.blas import one_blas_thread
 from cell.learning.model import LoadedModel, Trained, check_pads
+from cell.learning.parallel import one_blas_thread
 from cell.plugins import RECOGNIZERS
-from recognition.drift.grid import DriftFollowing, DriftGrid
+from recognition.drift.drift import DriftFollowing, DriftGrid
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior
 from recognition.shape.answer import ShapeAnswer

@@ -39,8 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import DatasetError, raised_as
-from cell.files import read_npz, savez, write_atomically
-from cell.formats import DATASET, check_text
+from cell.files import DATASET, check_text, read_npz, savez, write_atomically
 from cell.recording.grasp_limits import RANGES, check_range, check_sizes, check_times
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand, PadArray, SelfZero
 

@@ -21,8 +21,7 @@ from pydantic import ValidationError
 from pydantic_core import from_json
 
 from cell.errors import RecordingError, raised_as, reason_text
-from cell.files import DAMAGE, open_plain, write_atomically
-from cell.formats import RECORDING
+from cell.files import DAMAGE, RECORDING, open_plain, write_atomically
 from cell.recording import schema
 from cell.recording.grasp_limits import check_times
 from cell.recording.recorder import MessageWriter

@@ -13,7 +13,7 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from cell.errors import RecordingError
-from cell.formats import RECORDING
+from cell.files import RECORDING
 from cell.recording import schema
 from cell.recording.sink import LEFT_BYTES, RecordingSink, free_bytes
 from gripper.clock import Clock

@@ -23,12 +23,12 @@ import pydantic_core
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationInfo, with_config
 from typing_extensions import TypedDict
 
-from cell.formats import check_text
+from cell.files import check_text
 from cell.recording.grasp_limits import RANGES
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS
 
 if TYPE_CHECKING:
-    from recognition.drift.grid import DriftGrid
+    from recognition.drift.drift import DriftGrid
     from recognition.shape.answer import ShapeAnswer
 
 METADATA: Final = "tactile-cell"

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from recognition.evaluation.metrics import wilson_interval
+from recognition.evaluation.evaluation import wilson_interval
 from recognition.recognizer import UNKNOWN, Posterior
 
 BASELINE = "level_check"

@@ -13,7 +13,7 @@ from cell.errors import ReportError
 from cell.files import write_atomically
 from cell.installation import extra
 from cell.report.figures import COLOURS, N_SHADES
-from recognition.evaluation.metrics import wilson_interval
+from recognition.evaluation.evaluation import wilson_interval
 
 DENSE_LABELS = 12
 """Most labels of a confusion table in normal size."""

@@ -20,7 +20,7 @@ from cell.config.tactile import layout_from_config
 from cell.control.plan import Pose
 from cell.control.records import pad_array
 from cell.errors import CellError, RecordingError, reason_text
-from cell.learning.blas import one_blas_thread
+from cell.learning.parallel import one_blas_thread
 from cell.learning.shape_reading import in_words
 from cell.learning.training import train
 from cell.recording.reader import Recording, between

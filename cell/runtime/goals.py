@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from cell.errors import ConfigError
-from cell.formats import checked_label
+from cell.files import checked_label
 
 FEED_MAX = 1000
 """Most objects of a simulated feed."""

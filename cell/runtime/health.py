@@ -9,7 +9,7 @@ from cell.build import Cell
 from cell.config.model import CellConfig
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.force.timing import LATE_SHARE, LoopStatistics
-from recognition.drift.grid import DriftGrid
+from recognition.drift.drift import DriftGrid
 
 
 def health_values(config: CellConfig, cell: Cell, drift: DriftGrid | None) -> dict[str, Any]:

@@ -11,15 +11,14 @@ import numpy as np
 from cell.config.model import CellConfig
 from cell.control.identification import Identification
 from cell.control.part import Part
-from cell.learning.blas import one_blas_thread
-from cell.learning.progress import Progress
+from cell.learning.parallel import Progress, one_blas_thread
 from cell.learning.taught_model import training_set_file
 from cell.learning.training import train
 from cell.report.confusion import BASELINE, ConfusionTable, score_tables
 from cell.runtime.goals import IdentifyGoal, TeachGoal
 from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.worker import Job
-from recognition.drift.grid import DriftGrid
+from recognition.drift.drift import DriftGrid
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior, Recognizer
 

@@ -261,7 +261,7 @@ class TactileCellPlugin:
         }
 
     def _place_names(self) -> tuple[str, ...]:
-        from cell.runtime.sort import Places  # noqa: PLC0415
+        from cell.runtime.tasks import Places  # noqa: PLC0415
 
         try:
             return self._tasks.places().names
@@ -643,7 +643,7 @@ class TactileCellPlugin:
 
         Examples: ``{"inject": "servo1.off"}`` and ``{"clear": "servo1.off"}`` begin and end a
         fault; ``{"place": "cylinder:diameter=8mm,length=20mm"}`` exchanges the part. See
-        `simulator.realtime.requests`.
+        `simulator.realtime.process`.
 
         Raises
         ------

@@ -14,7 +14,7 @@ from cell.config.positioner import PositionerConfig
 from cell.errors import CellError, ConfigError
 from cell.files import write_text
 from cell.hand.real_time import raised_priority
-from cell.learning.blas import one_blas_thread
+from cell.learning.parallel import one_blas_thread
 from cell.simulation import simulator_settings
 from simulator.errors import SimulatorError, SimulatorSettingsError
 from simulator.realtime.process import serve

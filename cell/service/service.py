@@ -31,8 +31,7 @@ from cell.runtime.goals import TASKS, Goal, GripGoal, IdentifyGoal, SortGoal, ch
 from cell.runtime.lease import Lease
 from cell.runtime.plugin import HostStatus, TactileCellPlugin
 from cell.runtime.worker import Job
-from cell.service.history import History, history_file
-from cell.service.shift import Shift, Totals
+from cell.service.history import History, Shift, Totals, history_file
 from gripper.clock import Clock
 from gripper.errors import GraspStopped
 

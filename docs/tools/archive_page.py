@@ -1,6 +1,6 @@
 """The reference of archives, made from the columns of their table."""
 
-from cell.archive.table import COLUMNS
+from cell.archive.store import COLUMNS
 
 
 def archive_page() -> str:

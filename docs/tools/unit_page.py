@@ -12,7 +12,7 @@ import canopen
 import numpy as np
 
 from simulator import simulated_cell
-from simulator.can.messages import BurstFormat, force_bytes
+from simulator.can.scanner import BurstFormat, force_bytes
 from tactile import open_sensor
 from tactile.can.sdo_client import COB_SDO_REQUEST, COB_SDO_RESPONSE
 from tactile.control_unit import object_dictionary as od

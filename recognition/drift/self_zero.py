@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import expit, logsumexp
 
-from recognition.drift.drift import Drift
-from recognition.drift.grid import DriftPrior, moments
+from recognition.drift.drift import Drift, DriftPrior, moments
 from recognition.grasp import DRAWING_SOURCE, Grasp, PadArray, SelfZero
-from recognition.ramp.levels import Levels
+from recognition.ramp.ramp import Levels
 
 _REST_GAP_M = 1e-3
 """Opening in m beyond that of the first load from which the pads count as untouched."""

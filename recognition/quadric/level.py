@@ -14,8 +14,7 @@ from scipy import ndimage
 
 from recognition.errors import ContactError, QuadricError, RecognitionError
 from recognition.grasp import Grasp, PadArray
-from recognition.quadric.algorithm import LevelBands
-from recognition.quadric.quadric import fit_height_field, smallest_eigenvalue
+from recognition.quadric.quadric import LevelBands, fit_height_field, smallest_eigenvalue
 from recognition.ramp.ramp import find_ramp, own_rest
 
 _TOLERANCE = 0.1

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.grasp import Grasp, PadArray, by_label, keep_array
-from recognition.quadric.algorithm import LevelBands, check_level, find_thresholds, with_noise
 from recognition.quadric.level import (
     common_force_n,
     level_novelty,
@@ -20,6 +19,7 @@ from recognition.quadric.level import (
     log_statistics,
     usual_noise,
 )
+from recognition.quadric.quadric import LevelBands, check_level, find_thresholds, with_noise
 from recognition.ramp.ramp import learn_rest
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.records import TaughtRecord

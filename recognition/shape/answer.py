@@ -14,10 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.grasp import Grasp
-from recognition.shape.fit import Faces, KindEvidence, ShapeFit, evidence_of, joint_evidence
+from recognition.shape.fit import (
+    Faces,
+    KindEvidence,
+    ShapeFit,
+    all_fits,
+    evidence_of,
+    joint_evidence,
+)
 from recognition.shape.foam import FoamModel
 from recognition.shape.pressed_pads import reduce_to_pads
-from recognition.shape.search import all_fits
 from recognition.statistics.fusion import independent_share
 
 UNCLEAR = "unclear"

@@ -100,7 +100,7 @@ class ShapeModel:
     def dimensions_m(self, h_m: float, own: Array) -> dict[str, float]:
         """Return dimensions in m by their names from h in m and own parameters (n,).
 
-        Names are those of `simulator.world.shape_files` if they exist there.
+        Names are those of `simulator.world.shapes` if they exist there.
         """
         if self.kind == "sphere":
             return {"diameter": 2.0 * h_m}

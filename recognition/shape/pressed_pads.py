@@ -7,12 +7,11 @@ from numpy.typing import NDArray
 
 from recognition.errors import ContactError
 from recognition.grasp import Grasp, PadArray
-from recognition.ramp.levels import LOAD_FRACTIONS, load_levels
-from recognition.ramp.ramp import Rest, find_ramp, own_rest
+from recognition.ramp.ramp import LOAD_FRACTIONS, Rest, find_ramp, load_levels, own_rest
 from recognition.shape.foam import FoamModel, PadBed
 
 LEVELS = (0.3, 0.7, 1.0)
-"""Levels of the load that are fitted, of `recognition.ramp.levels.LOAD_FRACTIONS`."""
+"""Levels of the load that are fitted, of `recognition.ramp.ramp.LOAD_FRACTIONS`."""
 
 SPREAD_STEP = 0.1
 """Logarithm of the factor between neighbouring spreads of `PressedPads`."""

@@ -16,10 +16,9 @@ from canopen.objectdictionary import ODVariable
 from canopen.sdo import constants as sdo
 
 from simulator.can.faults import ControlUnitFaults
-from simulator.can.messages import DamagedObject
+from simulator.can.link import mean_bits
 from simulator.can.node import CanopenDevice, object_name
-from simulator.can.scanner import ScannedWorld, Scanner
-from simulator.can.wire import mean_bits
+from simulator.can.scanner import DamagedObject, ScannedWorld, Scanner
 from simulator.clock import ROUNDING_S
 from tactile.control_unit import object_dictionary as unit_od
 from tactile.layout import TaxelLayout

@@ -43,7 +43,7 @@ class Hands:
     Parameters
     ----------
     ask
-        Sends a request of `simulator.realtime.requests` and returns the reply.
+        Sends a request of `simulator.realtime.process` and returns the reply.
     sleep
         Waits for a time in s.
     """

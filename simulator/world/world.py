@@ -10,11 +10,18 @@ from numpy.typing import NDArray
 
 from simulator.clock import ROUNDING_S
 from simulator.errors import PartGripped, SimulatorSettingsError, SimulatorStateError
-from simulator.world.foam import Foam
-from simulator.world.press import PadPair, PadsMeet, Press
-from simulator.world.shape_files import parse_shape
-from simulator.world.shapes import PAPER_OBJECTS, ObjectPose, Shape, resting_pose
-from simulator.world.taxels import EQUATION_11, NoiseModel, PressureGrid, SensorLaw, ideal_counts
+from simulator.world.pads import (
+    EQUATION_11,
+    Foam,
+    NoiseModel,
+    PadPair,
+    PadsMeet,
+    Press,
+    PressureGrid,
+    SensorLaw,
+    ideal_counts,
+)
+from simulator.world.shapes import PAPER_OBJECTS, ObjectPose, Shape, parse_shape, resting_pose
 from tactile.layout import TaxelLayout
 
 STEP_S = 1e-3
@@ -120,7 +127,7 @@ class PhysicalWorld:
         Parameters
         ----------
         label
-            Name of one of `objects`, a shape as text (`simulator.world.shape_files`), or `NOTHING`.
+            Name of one of `objects`, a shape as text (`simulator.world.shapes`), or `NOTHING`.
         pose
             Its pose; by default at the pads' centre.
 

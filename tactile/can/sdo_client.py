@@ -12,7 +12,7 @@ from canopen.sdo import constants as sdo
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
-from tactile.can.receiver import interface_failed
+from tactile.can.bus import interface_failed
 from tactile.clock import Clock
 from tactile.errors import NodeMissing, ObjectRefused
 

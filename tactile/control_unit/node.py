@@ -15,8 +15,7 @@ import numpy as np
 from canopen.nmt import NMT_COMMANDS
 
 from tactile import errors
-from tactile.can.bus import bad_lines
-from tactile.can.receiver import interface_failed, message_source, of_another_kind, reopened
+from tactile.can.bus import bad_lines, interface_failed, message_source, of_another_kind, reopened
 from tactile.can.sdo_client import PolledSdoClient
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.settings import LinkSettings, NodeIdentity

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import can
 from canopen.network import NodeScanner
 
-from tactile.can.receiver import message_source, of_another_kind
+from tactile.can.bus import message_source, of_another_kind
 from tactile.can.sdo_client import COB_SDO_REQUEST, COB_SDO_RESPONSE, PolledSdoClient
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import TactileLink

@@ -12,7 +12,7 @@ import can
 import numpy as np
 
 from tactile.board_source import Board, PolledBoards
-from tactile.can.receiver import interface_failed, message_source, of_another_kind, reopened
+from tactile.can.bus import interface_failed, message_source, of_another_kind, reopened
 from tactile.clock import Clock
 from tactile.errors import BusOff, DuplicateNode
 from tactile.layout import TaxelLayout

@@ -21,14 +21,20 @@ from threadpoolctl import threadpool_limits
 from benchmarks import __main__ as command
 from benchmarks.__main__ import MODULES
 from benchmarks._measure import same, share
-from benchmarks.paper.grasps import press, record
-from benchmarks.paper.reproduction import classify, levels_of, name_by_threshold, one_frame
+from benchmarks.paper.reproduction import (
+    classify,
+    levels_of,
+    name_by_threshold,
+    one_frame,
+    press,
+    record,
+)
 from benchmarks.performance import servo_logs, soak
 from benchmarks.performance.servo_logs import Bench, Log, main, read_logs
 from cell.recording.dataset import write_dataset
 from gripper.dynamixel.models import XL330_M288, XM430_W350
 from recognition.features import PadGrid
-from recognition.quadric.algorithm import find_thresholds
+from recognition.quadric.quadric import find_thresholds
 from simulator.world.shapes import ObjectPose
 from tests import ROOT
 from tests.marks import LONG

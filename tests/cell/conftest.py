@@ -12,8 +12,7 @@ import pytest
 
 from cell.build import build_cell
 from cell.config.model import CellConfig
-from cell.control.self_zero import zero_text
-from cell.control.zeroing import Zeroing
+from cell.control.zeroing import Zeroing, zero_text
 from cell.recording.dataset import read_dataset
 from cell.runtime.main_job import MainResult, teach_and_identify
 from cell.runtime.plugin import TactileCellPlugin

@@ -11,7 +11,7 @@ from cell.config.gripper import use_servo_models
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.errors import CellError, ConfigError
-from cell.formats import PROGRAM
+from cell.files import PROGRAM
 from cell.plugins import GROUPS, RECOGNIZERS, SENSORS, SERVO_MODELS
 from gripper.dynamixel import models
 from gripper.errors import LimitExceeded

@@ -13,7 +13,7 @@ import pytest
 from cell.commissioning.findings import read_commissioned
 from cell.commissioning.servos import backup_file, read_backup
 from cell.config.file import load_config
-from cell.control.self_zero import stored_zeros
+from cell.control.zeroing import stored_zeros
 from cell.service.history import read_day
 from tests.cell.cells import call
 from tests.formats.write import numbers

@@ -24,7 +24,7 @@ from gripper.dynamixel.control_table import (
 from gripper.dynamixel.protocol2 import CheckedPacketHandler, StatusPacket
 from gripper.dynamixel.serial_port import SdkPort
 from gripper.errors import GripperError
-from simulator.can.messages import BurstFormat
+from simulator.can.scanner import BurstFormat
 from simulator.clock import VirtualClock
 from simulator.servo.protocol2 import Instruction, crc16, encode_status
 from tactile.can.bus import BulkSlcanBus

@@ -15,8 +15,7 @@ from motion.drive import Cia402Drive, DriveBus, DriveSettings
 from motion.object_dictionary import HomingMethod
 from motion.servo import ServoAxis, ServoAxisSettings
 from simulator.can.drive import DriveMount, SimulatedDrive
-from simulator.can.link import CanLink
-from simulator.can.memory_bus import InMemoryCanBus
+from simulator.can.link import CanLink, InMemoryCanBus
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream
 from simulator.servo.wrist import SimulatedWrist, WristMount

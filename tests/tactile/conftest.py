@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from simulator.can.control_unit import ControlUnitSettings, SimulatedControlUnit
-from simulator.can.link import CanLink
-from simulator.can.memory_bus import InMemoryCanBus
+from simulator.can.link import CanLink, InMemoryCanBus
 from simulator.cell import SimulatedCell
 from simulator.clock import VirtualClock
 from tactile.control_unit.node import TactileLink

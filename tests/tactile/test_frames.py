@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from simulator.can.messages import BurstFormat, force_bytes
+from simulator.can.scanner import BurstFormat, force_bytes
 from tactile.control_unit.settings import LinkSettings
 from tactile.control_unit.watch import ForceFlow
 from tactile.errors import FrameError, LayoutError

@@ -38,7 +38,7 @@ from cell.interfaces.cli.terminal import (
     write_json,
 )
 from cell.learning.model import LAST_MODEL
-from cell.learning.progress import Progress
+from cell.learning.parallel import Progress
 from cell.runtime.goals import Goal
 from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.worker import Job

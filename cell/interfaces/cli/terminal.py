@@ -158,7 +158,7 @@ def ask(text: str) -> str:
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
-    """Draw a bar on standard error for each task of a job; see `cell.learning.progress`.
+    """Draw a bar on standard error for each task of a job; see `cell.learning.parallel`.
 
     Without a terminal it prints a line at the end of each task.
     """

@@ -11,15 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from recognition.drift.grid import DriftGrid, DriftPrior
+from recognition.drift.drift import DriftGrid, DriftPrior
 from recognition.drift.self_zero import at_zero, common_zero, foam_odds, prior_since
 from recognition.features import FEATURE_VERSION, pad_grids, sizes_mm
 from recognition.grasp import CELL_SOURCE, Grasp, SelfZero, by_label
-from recognition.ramp.levels import load_levels
-from recognition.ramp.ramp import Rest, learn_rest
+from recognition.ramp.ramp import Rest, learn_rest, load_levels
 from recognition.recognizer import Posterior
-from recognition.recognizers.force_ramp.view import View, describe
-from recognition.recognizers.force_ramp.view_training import fit_view
+from recognition.recognizers.force_ramp.view import View, describe, fit_view
 from recognition.records import TaughtRecord
 from recognition.statistics.calibration import UNIFORM_SHARE
 

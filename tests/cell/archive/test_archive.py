@@ -21,16 +21,15 @@ from cell.archive.ingest import ingest, sources
 from cell.archive.page import archive_report, confusion_table, lines
 from cell.archive.questions import ask
 from cell.archive.selection import Selection, parse_selection
-from cell.archive.store import Archive
-from cell.archive.table import TABLE, grasp_key
+from cell.archive.store import TABLE, Archive, grasp_key
 from cell.errors import ArchiveError, CellError, ConfigError, ReportError
 from cell.learning.model import load_model
-from cell.learning.progress import silent
+from cell.learning.parallel import silent
 from cell.recording.dataset import read_dataset, write_dataset
 from cell.recording.reader import recording_grasps
 from cell.recording.recorder import Recorder
 from cell.report.page import render_report
-from recognition.drift.spread import day_effects
+from recognition.drift.drift import day_effects
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand, SelfZero
 from tests.cell.archive.fleet import PADS, SIZES_MM, ramp, record, record_fleet
 from tests.cell.cells import call

@@ -13,7 +13,7 @@ from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
 from simulator.cell import SimulatedCell
 from simulator.realtime.hands import Hands
-from simulator.realtime.requests import CellRequests
+from simulator.realtime.process import CellRequests
 from tactile.can.bus import CanBus
 
 Reply = str | float | Callable[[], object]

@@ -19,7 +19,7 @@ from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.errors import CellError
-from cell.formats import COMMISSIONING, write_json
+from cell.files import COMMISSIONING, write_json
 from cell.simulation import simulation_of
 from tactile.source import SourceIdentity
 from tests.cell.cells import once, small_config

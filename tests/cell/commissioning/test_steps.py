@@ -29,9 +29,9 @@ from cell.commissioning.servos import SERVOS, backup_file, restore
 from cell.commissioning.unit import UNIT
 from cell.config.file import changed_config
 from cell.config.tactile import TactileConfig
-from cell.control.self_zero import stored_zeros
+from cell.control.zeroing import stored_zeros
 from cell.errors import CellError
-from cell.formats import SERVO_BACKUP, write_json
+from cell.files import SERVO_BACKUP, write_json
 from gripper.errors import GripperError
 from gripper.servos.goal_limits import GoalWriter
 from gripper.settings import largest_setpoint_n
@@ -41,7 +41,7 @@ from simulator.cell import SimulatedCell
 from simulator.devices import SimulatedDrive
 from simulator.servo.mechanics import RackLinkage, ServoMount
 from simulator.settings import SimulatedServoSettings, SimulatorSettings
-from simulator.world.taxels import NoiseModel, SensorLaw
+from simulator.world.pads import NoiseModel, SensorLaw
 from tactile.can.bus import CanBus
 from tactile.errors import BusNotOpened
 from tactile.layout import PadMount, inner_pads, paper_layout, pinch_layout

@@ -30,7 +30,7 @@ from cell.config.positioner import ServoAxisConfig
 from cell.config.section import Declared
 from cell.config.tactile import LayoutName, PadConfig, PadsConfig, TactileConfig, layout_from_config
 from cell.errors import ConfigError
-from cell.formats import CONFIG
+from cell.files import CONFIG
 from cell.sensors.flexitac import FlexiTacConfig
 from cell.simulation import simulation_of
 from gripper.mechanics.kinematics import end_transmissions

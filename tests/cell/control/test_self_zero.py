@@ -15,10 +15,10 @@ from cell.commissioning.findings import Verdict
 from cell.config.file import changed_config, config_text, parse_config
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
-from cell.control.self_zero import SelfZeros, part_between, stored_zeros, zero_file
 from cell.control.states import CellState
+from cell.control.zeroing import SelfZeros, part_between, stored_zeros, zero_file
 from cell.errors import CellError, PartInGrip, PlanRefused, ZeroRefused
-from cell.formats import SELF_ZERO, write_json
+from cell.files import SELF_ZERO, write_json
 from cell.interfaces.cli.session import cell_config
 from cell.recording.dataset import read_grasps
 from cell.runtime import tasks

@@ -43,8 +43,8 @@ from cell.interfaces.cli.commands.service import (
     system_files,
 )
 from cell.recording.reader import RecordedMessages
+from cell.service.history import Sum, Totals
 from cell.service.service import RELEASE_KEY
-from cell.service.shift import Sum, Totals
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.errors import GripperError
 from recognition.recognizer import UNKNOWN

@@ -23,7 +23,7 @@ from recognition.ramp.ramp import find_ramp, learn_rest
 from recognition.recognizer import UNKNOWN
 from recognition.shape.answer import UNCLEAR
 from recognition.shape.foam import PadBed
-from simulator.world.taxels import ideal_counts
+from simulator.world.pads import ideal_counts
 from tests.cell.cells import call
 from tests.values import make_shape
 

@@ -22,8 +22,7 @@ from cell.runtime import tasks
 from cell.runtime.goals import IdentifyGoal, TeachGoal
 from cell.runtime.worker import Report
 from gripper.values.outcome import GraspResult
-from recognition.drift.drift import Drift
-from recognition.drift.grid import DriftGrid
+from recognition.drift.drift import Drift, DriftGrid
 from recognition.errors import ContactError
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior

@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cell import formats
+from cell import files
 from cell.archive.store import Archive
 from cell.commissioning.findings import read_commissioned
 from cell.commissioning.servos import read_backup
 from cell.config.file import load_config
 from cell.config.gripper import measured_drive
-from cell.control.self_zero import SelfZeros
+from cell.control.zeroing import SelfZeros
 from cell.errors import CellError, DatasetError
-from cell.formats import Format
+from cell.files import Format
 from cell.learning.model import load_model
 from cell.recording.dataset import read_dataset, write_dataset
 from cell.recording.reader import read_recording
@@ -272,15 +272,15 @@ def self_zero(path: Path) -> None:
 
 
 KINDS: list[tuple[Format, Callable[[Path, str], None], Callable[[Path], Any]]] = [
-    (formats.CONFIG, text, load_config),
-    (formats.DATASET, arrays, read_dataset),
-    (formats.MODEL, arrays, load_model),
-    (formats.RECORDING, recording, read_recording),
-    (formats.COMMISSIONING, text, read_commissioned),
-    (formats.SERVO_BACKUP, text, read_backup),
-    (formats.SERVO_BENCH, text, lambda path: measured_drive(path, XM430_W350)),
-    (formats.SELF_ZERO, text, self_zero),
-    (formats.ARCHIVE, archive, lambda path: Archive(str(path))),
+    (files.CONFIG, text, load_config),
+    (files.DATASET, arrays, read_dataset),
+    (files.MODEL, arrays, load_model),
+    (files.RECORDING, recording, read_recording),
+    (files.COMMISSIONING, text, read_commissioned),
+    (files.SERVO_BACKUP, text, read_backup),
+    (files.SERVO_BENCH, text, lambda path: measured_drive(path, XM430_W350)),
+    (files.SELF_ZERO, text, self_zero),
+    (files.ARCHIVE, archive, lambda path: Archive(str(path))),
 ]
 """A format, what writes a file of another one, and what reads the file."""
 
@@ -294,5 +294,5 @@ def test_a_file_of_another_version_is_refused(kind, write, read, tmp_path) -> No
         read(path)
     said = str(refused.value)
     assert f"{path}: its format is '{other}', but {PROGRAM} reads {kind}; {kind.remedy}" in said
-    every = [kind for kind in vars(formats).values() if isinstance(kind, Format)]
+    every = [kind for kind in vars(files).values() if isinstance(kind, Format)]
     assert len(every) == len(KINDS)

@@ -25,7 +25,7 @@ from cell.control.journal import Journal
 from cell.control.plan import Pose
 from cell.control.states import CellState, GraspState
 from cell.errors import RecordingError
-from cell.formats import RECORDING
+from cell.files import RECORDING
 from cell.interfaces.cli.app import app
 from cell.recording import (
     reader as recording_reader,

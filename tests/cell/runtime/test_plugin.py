@@ -29,7 +29,7 @@ from cell.learning.model import Trained
 from cell.learning.taught_model import TaughtModel
 from cell.recording.dataset import read_dataset, write_dataset
 from cell.runtime.goals import GripGoal, IdentifyGoal, SortGoal, TeachGoal, VerifyGoal, checked_goal
-from cell.runtime.sort import Places, SortAnswer, simulated_feed
+from cell.runtime.tasks import Places, SortAnswer, simulated_feed
 from cell.runtime.worker import JobFailed, JobOutcome
 from gripper.errors import ServoFault, VerificationFailed
 from recognition.recognizer import UNKNOWN

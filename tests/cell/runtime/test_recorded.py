@@ -18,7 +18,7 @@ from cell.files import json_bytes
 from cell.interfaces.cli.session import job_folder
 from cell.learning.labelled_grasps import name_recorded, read_labelled_grasps
 from cell.learning.model import load_model
-from cell.learning.progress import silent
+from cell.learning.parallel import silent
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import calibrate_model, identify_recorded, train
 from cell.recording.dataset import read_dataset, read_grasps, write_dataset
@@ -27,8 +27,7 @@ from cell.report.confusion import BASELINE, score, score_tables
 from cell.runtime import tasks
 from cell.runtime.goals import GaugeGoal
 from cell.runtime.main_job import baseline
-from cell.runtime.sort import drawn_object
-from cell.runtime.tasks import Collection
+from cell.runtime.tasks import Collection, drawn_object
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift
 from recognition.grasp import DRAWING_SOURCE

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cell.learning.progress import silent
+from cell.learning.parallel import silent
 from cell.runtime.main_job import teach_and_identify
 from cell.runtime.plugin import TactileCellPlugin
 from tests.cell.cells import small_config

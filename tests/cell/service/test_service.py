@@ -20,9 +20,8 @@ from cell.errors import CellError, CellStateError, HeldByClient, RequestRefused
 from cell.recording.reader import read_recording
 from cell.runtime import worker
 from cell.service import history
-from cell.service.history import History, history_file, read_day
+from cell.service.history import MOST_ANSWERS, History, Shift, began_s, history_file, read_day
 from cell.service.service import RELEASE_KEY
-from cell.service.shift import MOST_ANSWERS, Shift, began_s
 from gripper.values.state import GripperPhase
 from tactile.errors import FrameTimeout
 from tests.cell.cells import once, small_config

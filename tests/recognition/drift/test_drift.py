@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recognition.drift.drift import Drift, drift_text
-from recognition.drift.grid import DriftGrid, DriftPrior
+from recognition.drift.drift import Drift, DriftGrid, DriftPrior, drift_text, learn_spread
 from recognition.drift.self_zero import (
     ZeroMeasurement,
     drawn_zero,
@@ -19,12 +18,10 @@ from recognition.drift.self_zero import (
     prior_since,
     since,
 )
-from recognition.drift.spread import learn_spread
 from recognition.evaluation.splits import a_day_later
 from recognition.features import aperture_features
 from recognition.grasp import DRAWING_SOURCE, ZERO_COLUMNS, Grasp, PadArray, SelfZero
-from recognition.ramp.levels import load_levels
-from recognition.ramp.ramp import learn_rest
+from recognition.ramp.ramp import learn_rest, load_levels
 from recognition.recognizers import make_trainer
 from tests.cell.archive.fleet import SIZES_MM, ramp
 from tests.recognition.conftest import accuracy

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from recognition.evaluation.evaluation import evaluate
-from recognition.evaluation.metrics import (
+from recognition.evaluation.evaluation import (
     auroc,
     confusion_matrix,
+    evaluate,
     interval_by_object,
     wilson_interval,
 )

@@ -16,8 +16,7 @@ from recognition.features import (
     profile_features,
 )
 from recognition.grasp import Grasp, PadArray
-from recognition.ramp.levels import load_levels
-from recognition.ramp.ramp import learn_rest
+from recognition.ramp.ramp import learn_rest, load_levels
 from tests.recognition.conftest import OBJECTS, make_grasps
 from tests.values import make_pads
 

@@ -9,14 +9,6 @@ from hypothesis.extra.numpy import arrays
 
 from recognition.errors import ContactError, QuadricError, TrajectoryError, TransformError
 from recognition.quadric import quadric
-from recognition.quadric.algorithm import (
-    PAPER_SWEEP,
-    SweepSettings,
-    check_level,
-    find_thresholds,
-    sweep,
-    with_noise,
-)
 from recognition.quadric.level import main_patch
 from recognition.quadric.proofs import (
     SOLVERS,
@@ -28,10 +20,16 @@ from recognition.quadric.proofs import (
     substituted,
 )
 from recognition.quadric.quadric import (
+    PAPER_SWEEP,
     Reading,
+    SweepSettings,
+    check_level,
+    find_thresholds,
     fit_height_field,
     height_field_matrix,
     smallest_eigenvalue,
+    sweep,
+    with_noise,
 )
 from tests.values import make_pads
 

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from recognition.features import aperture_features, describe_footprint, growth_features, pad_grid
-from recognition.ramp.levels import LOAD_FRACTIONS, load_levels
-from recognition.ramp.ramp import Rest, find_ramp, held_part, learn_rest
+from recognition.ramp.ramp import (
+    LOAD_FRACTIONS,
+    Rest,
+    find_ramp,
+    held_part,
+    learn_rest,
+    load_levels,
+)
 from tests.recognition.conftest import OBJECTS, make_grasp, make_grasps, part
 from tests.values import make_pads
 

@@ -5,16 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from recognition.drift.drift import Drift
-from recognition.drift.grid import DriftGrid, DriftPrior
+from recognition.drift.drift import Drift, DriftGrid, DriftPrior
 from recognition.evaluation.splits import a_day_later
 from recognition.features import pad_grid
 from recognition.grasp import Grasp
-from recognition.ramp.levels import load_levels
+from recognition.ramp.ramp import load_levels
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import DEFAULT_TRAINER, make_trainer, trainer_names
-from recognition.recognizers.force_ramp.view import describe
-from recognition.recognizers.force_ramp.view_training import even_in_time
+from recognition.recognizers.force_ramp.view import describe, even_in_time
 from tests.marks import LONG
 from tests.recognition.conftest import OBJECTS, accuracy, make_grasps, part
 from tests.values import make_pads

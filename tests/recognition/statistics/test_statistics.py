@@ -11,9 +11,15 @@ from recognition.statistics.calibration import (
     fit_temperature,
     to_probability,
 )
-from recognition.statistics.classes import TaughtSizes, fit_class_spread, fit_sizes
 from recognition.statistics.fusion import MAX_UNKNOWN, DecisionKind, StopRule, decide, fuse
-from recognition.statistics.lda import LinearDiscriminant, fit_lda, squared_distances
+from recognition.statistics.lda import (
+    LinearDiscriminant,
+    TaughtSizes,
+    fit_class_spread,
+    fit_lda,
+    fit_sizes,
+    squared_distances,
+)
 
 
 def gaussians(seed, n=60, shift=3.0, n_features=6):

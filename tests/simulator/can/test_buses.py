@@ -10,11 +10,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from simulator.can.faults import CanLinkFaults
-from simulator.can.link import CanLink
-from simulator.can.memory_bus import InMemoryCanBus
+from simulator.can.link import CanLink, CanWire, InMemoryCanBus, mean_bits
 from simulator.can.node import SendBurst
 from simulator.can.slcan import SlcanAdapter
-from simulator.can.wire import CanWire, mean_bits
 from simulator.clock import VirtualClock
 from simulator.errors import SimulatorStateError
 

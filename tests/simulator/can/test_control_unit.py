@@ -10,8 +10,7 @@ from canopen.sdo import SdoClient
 
 from simulator.can.control_unit import EMCY_OVERRUN, EMCY_WINDOW, SimulatedControlUnit
 from simulator.can.faults import ControlUnitFaults
-from simulator.can.messages import BurstFormat
-from simulator.can.scanner import PadForces
+from simulator.can.scanner import BurstFormat, PadForces
 from tactile.control_unit import object_dictionary as od
 from tactile.frames import (
     FrameAssembler,

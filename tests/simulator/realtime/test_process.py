@@ -24,8 +24,13 @@ from simulator.cell import SimulatedCell
 from simulator.devices import CellDevices
 from simulator.errors import EndpointError, PartGripped, SimulatorError, SimulatorSettingsError
 from simulator.realtime.hands import HELP, Hands
-from simulator.realtime.process import FORGIVEN_S, PIECE_S, RealTimeCell
-from simulator.realtime.requests import CellRequests, PositionerServer
+from simulator.realtime.process import (
+    FORGIVEN_S,
+    PIECE_S,
+    CellRequests,
+    PositionerServer,
+    RealTimeCell,
+)
 from simulator.realtime.terminals import SerialPty
 from simulator.servo.bus import ServoBusDevice
 from simulator.servo.protocol2 import Instruction

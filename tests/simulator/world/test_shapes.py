@@ -5,13 +5,14 @@ import pytest
 import trimesh
 
 from simulator.errors import SimulatorSettingsError
-from simulator.world import shape_files
-from simulator.world.shape_files import load_mesh, parse_shape
+from simulator.world import shapes
 from simulator.world.shapes import (
     PAPER_OBJECTS,
     Box,
     Ellipsoid,
     ObjectPose,
+    load_mesh,
+    parse_shape,
     posed_heights,
     resting_pose,
     thicknesses_m,
@@ -146,7 +147,7 @@ def test_a_mesh_is_the_same_whole_and_in_pieces(stl, monkeypatch) -> None:
     within = np.hypot(*GRID) < 4.5e-3
     for height, right in zip(whole, exact, strict=True):
         assert height[within] == pytest.approx(right[within], abs=0.1e-3)
-    monkeypatch.setattr(shape_files, "_PAIRS", 100)
+    monkeypatch.setattr(shapes, "_PAIRS", 100)
     assert np.array_equal(mesh.heights(*GRID, 0.3), whole)
 
 

@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 
 from simulator.errors import SimulatorStateError
-from simulator.world.foam import Foam, ForceTable
-from simulator.world.press import NEST_FRICTION_N, PadPair
-from simulator.world.shapes import PAPER_OBJECTS, ObjectPose
-from simulator.world.taxels import (
+from simulator.world.pads import (
+    NEST_FRICTION_N,
+    Foam,
+    ForceTable,
     NoiseModel,
+    PadPair,
     PressureGrid,
     SensorLaw,
     ideal_counts,
     resistance_mohm,
 )
+from simulator.world.shapes import PAPER_OBJECTS, ObjectPose
 from simulator.world.world import PhysicalWorld, WorldSettings
 from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 

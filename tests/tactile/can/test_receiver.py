@@ -15,8 +15,15 @@ import can
 import pytest
 from can.interfaces.virtual import VirtualBus
 
-from tactile.can.bus import BulkSlcanBus, MissingBus, bus_lock, close_bus, open_bus
-from tactile.can.receiver import PolledSource, ThreadedReceiver
+from tactile.can.bus import (
+    BulkSlcanBus,
+    MissingBus,
+    PolledSource,
+    ThreadedReceiver,
+    bus_lock,
+    close_bus,
+    open_bus,
+)
 from tactile.errors import BusNotOpened, BusOff, ReceiveLoopDead
 from tests.fuzz.harness import Clock
 

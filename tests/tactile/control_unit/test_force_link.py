@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from simulator.can.control_unit import ControlUnitSettings
-from simulator.can.messages import read_zero
+from simulator.can.scanner import read_zero
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
-from simulator.world.taxels import NoiseModel
+from simulator.world.pads import NoiseModel
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import Mounting
 from tactile.control_unit.settings import LinkSettings

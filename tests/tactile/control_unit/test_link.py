@@ -15,7 +15,7 @@ import pytest
 
 import motion.object_dictionary
 from simulator.can.control_unit import ControlUnitSettings
-from simulator.can.wire import mean_bits
+from simulator.can.link import mean_bits
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import TactileLink
 from tactile.control_unit.search import listen

@@ -23,7 +23,7 @@ from cell.learning.shape_reading import NO_SHAPE, after_label, shape_reader
 from cell.learning.training import identify_recorded
 from cell.recording.dataset import read_grasps
 from cell.runtime.goals import IdentifyGoal
-from cell.runtime.sort import drawn_object
+from cell.runtime.tasks import drawn_object
 from recognition.drift.drift import drift_text
 from recognition.recognizer import UNKNOWN
 from recognition.statistics.fusion import fuse

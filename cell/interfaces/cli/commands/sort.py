@@ -14,7 +14,7 @@ from cell.interfaces.cli.terminal import plain_text, print_note, show
 from cell.learning.model import load_model
 from cell.runtime.goals import FEED_MAX, SortGoal
 from cell.runtime.main_job import teach_objects
-from cell.runtime.sort import Places, simulated_feed
+from cell.runtime.tasks import Places, simulated_feed
 
 
 def sort(

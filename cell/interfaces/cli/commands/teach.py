@@ -7,7 +7,7 @@ import typer
 
 from cell.config.model import CellConfig
 from cell.errors import ConfigError, DatasetError, raised_as
-from cell.formats import check_text, checked_label
+from cell.files import check_text, checked_label
 from cell.interfaces.cli import options
 from cell.interfaces.cli.session import cell_config, pads_of, running_cell
 from cell.interfaces.cli.terminal import print_line, progress_bar, show
