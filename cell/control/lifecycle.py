@@ -16,8 +16,8 @@ from cell.control.states import (
     Command,
     Event,
     GraspState,
-    command_path,
     grasp_state,
+    is_allowed,
     next_state,
     refusal,
 )
@@ -156,7 +156,7 @@ class CellLifecycle:
 
     def check(self, command: Command) -> None:
         """Raise CellStateError if the command is not allowed in the present state."""
-        if command_path(self.state, command) is None:
+        if not is_allowed(self.state, command):
             raise self._refused(refusal(self.state, command))
 
     def go(self, event: Event) -> None:

@@ -198,18 +198,12 @@ TRANSITIONS: dict[tuple[CellState, Event], CellState] = {
 """All transitions; a pair that is not listed is refused."""
 
 _OTHER_EVENTS = {"grasp": Event.EXECUTE, "grip": Event.EXECUTE, "shutdown": Event.STOP}
-_EVENT_OF = {
+EVENT_OF: dict[Command, Event] = {
     command: _OTHER_EVENTS.get(command) or Event(command)
     for command in Command
     if command is not Command.CANCEL
 }
 """Event of each command, mostly the event of the same name; a cancel has several."""
-
-_KEEPING = (Command.GRIP, Command.VERIFY)
-"""Commands that end with the part held for the host."""
-
-_CANCELLED = {CellState.EXECUTE: Event.HOLD, CellState.STARTING: Event.STOP}
-"""Event of a cancel while a command runs; other acting states end as usual."""
 
 
 def next_state(state: CellState, event: Event) -> CellState:
@@ -220,7 +214,7 @@ def next_state(state: CellState, event: Event) -> CellState:
     try:
         return TRANSITIONS[state, event]
     except KeyError:
-        asked = (command for command, its_event in _EVENT_OF.items() if its_event is event)
+        asked = (command for command, its_event in EVENT_OF.items() if its_event is event)
         raise ValueError(refusal(state, next(asked, event))) from None
 
 
@@ -229,7 +223,7 @@ def refusal(state: CellState, asked: Command | Event) -> str:
     allowed = [
         command.value
         for command in Command
-        if command is not Command.CANCEL and command_path(state, command)
+        if is_allowed(state, command) and (state, EVENT_OF.get(command)) in TRANSITIONS
     ]
     return (
         f"the cell is {state.value}; allowed: {', '.join(allowed) or Command.CANCEL.value}; "
@@ -237,27 +231,11 @@ def refusal(state: CellState, asked: Command | Event) -> str:
     )
 
 
-def command_path(state: CellState, command: Command) -> tuple[CellState, ...] | None:
-    """Return the states that a cell passes by a command without a fault, the final one last.
-
-    Empty if its state does not change. None: the command raises CellStateError and changes nothing.
-    """
-    if command is Command.CANCEL:
-        # A cancel without a running command stays pending for the next one.
-        return _path(state, _CANCELLED[state]) if state in _CANCELLED else ()
-    event = _EVENT_OF[command]
-    leads = (state, event) in TRANSITIONS
-    if command is Command.SHUTDOWN and (state.acting or not leads):
-        return None if state.acting else ()
-    return _path(state, event, holds=command in _KEEPING) if leads else None
-
-
-def _path(state: CellState, event: Event, *, holds: bool = False) -> tuple[CellState, ...]:
-    path = [next_state(state, event)]
-    while path[-1].acting:
-        keeps = holds and path[-1] is CellState.EXECUTE
-        path.append(next_state(path[-1], Event.KEPT if keeps else COMPLETIONS[path[-1]]))
-    return tuple(path)
+def is_allowed(state: CellState, command: Command) -> bool:
+    """Return whether a command is allowed in a state; a cancel always is."""
+    if command is Command.SHUTDOWN:
+        return not state.acting
+    return command is Command.CANCEL or (state, EVENT_OF[command]) in TRANSITIONS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

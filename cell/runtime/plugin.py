@@ -23,7 +23,7 @@ from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.control.part import Part
 from cell.control.plan import Pose
-from cell.control.states import CellState, CellStatus, Command, command_path
+from cell.control.states import CellState, CellStatus, Command, is_allowed
 from cell.errors import CellError, ConfigError, PartInGrip, RequestRefused
 from cell.fault_catalogue import error_text
 from cell.runtime.goals import (
@@ -572,7 +572,7 @@ class TactileCellPlugin:
             If the state of the cell does not allow it, or another job runs.
         """
         controller = self.cell.controller
-        if needless and command_path(controller.life.state, command) is None:
+        if needless and not is_allowed(controller.life.state, command):
             return self._accept(lambda _report: None, None, command.value)
         stopped = controller.life.state is CellState.STOPPED
 

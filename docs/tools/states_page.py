@@ -2,13 +2,15 @@
 
 from cell.control.states import (
     COMPLETIONS,
+    EVENT_OF,
     OF_PHASE,
     TRANSITIONS,
     CellState,
     Command,
     Event,
     GraspState,
-    command_path,
+    is_allowed,
+    next_state,
 )
 
 _BOX, _STEP = (112, 34), (225, 120)
@@ -94,6 +96,30 @@ GRASP_DOES = {
     GraspState.ERROR: "A fault is latched; a part may still be in the grip.",
 }
 """What each state of the grip means."""
+
+
+_KEEPING = (Command.GRIP, Command.VERIFY)
+"""Commands that end with the part held for the host."""
+_CANCELLED = {CellState.EXECUTE: Event.HOLD, CellState.STARTING: Event.STOP}
+"""Event of a cancel while a command runs; other acting states end as usual."""
+
+
+def command_path(state: CellState, command: Command) -> tuple[CellState, ...] | None:
+    """Return the states that a cell passes by a command without a fault, the final one last.
+
+    Empty if its state does not change; None for a command that is refused.
+    """
+    if not is_allowed(state, command):
+        return None
+    # A cancel without a running command stays pending for the next one.
+    event = _CANCELLED.get(state) if command is Command.CANCEL else EVENT_OF[command]
+    if event is None or (state, event) not in TRANSITIONS:
+        return ()
+    path = [next_state(state, event)]
+    while path[-1].acting:
+        keeps = command in _KEEPING and path[-1] is CellState.EXECUTE
+        path.append(next_state(path[-1], Event.KEPT if keeps else COMPLETIONS[path[-1]]))
+    return tuple(path)
 
 
 def states_page() -> str:
