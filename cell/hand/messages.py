@@ -145,8 +145,14 @@ class _Pickler(pickle.Pickler):
         if isinstance(value, OSError) and value.filename is not None:
             # The file name is not among the arguments, but its position is fixed.
             args = (*args[:2], value.filename)
-        # The class's own __init__ has other arguments than the error stores.
-        return type(value).__new__, (type(value), *args), vars(value)
+        return _restored, (type(value), args, value.args), vars(value)
+
+
+def _restored(kind: type[BaseException], given: tuple[Any, ...], args: tuple[Any, ...]) -> Any:
+    """Return an error; the class's own __init__ may have other arguments than it stores."""
+    error = kind.__new__(kind, *given)
+    error.args = args
+    return error
 
 
 def packed(event: HandMessage) -> bytes:

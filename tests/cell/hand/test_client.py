@@ -43,6 +43,7 @@ from gripper.errors import (
     GraspStopped,
     LimitExceeded,
     ServoFault,
+    ServoMissing,
     ServoRejected,
     VerificationFailed,
     fingers_left,
@@ -491,14 +492,14 @@ def test_a_command_is_a_method_of_the_hand_and_no_other_one() -> None:
     assert watched == [True, True, False]
 
 
+REPORT = VerificationReport(
+    rows=(VerificationRow(servo_id=1, item="x", expected="1", actual="2", ok=False),)
+)
 ERRORS = [
     ServoRejected(2, 5, "writing goal"),
     ServoFault(1, "it has switched its torque off", bits=32),
-    VerificationFailed(
-        VerificationReport(
-            rows=(VerificationRow(servo_id=1, item="x", expected="1", actual="2", ok=False),)
-        )
-    ),
+    VerificationFailed(REPORT),
+    ServoMissing(REPORT, "give the servo its ID"),
     GraspStopped("stopped on request"),
     CellStopped("stopped"),
     FileNotFoundError(2, "No such file", "/dev/nothing"),

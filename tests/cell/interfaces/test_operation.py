@@ -42,6 +42,7 @@ from cell.interfaces.cli.commands.service import (
     closed_to_others,
     system_files,
 )
+from cell.interfaces.opening import open_interfaces
 from cell.recording.reader import RecordedMessages
 from cell.service.history import Sum, Totals
 from cell.service.service import RELEASE_KEY
@@ -554,6 +555,33 @@ def test_a_signal_first_stops_the_motion(meddle, run_serve, moment) -> None:
     assert left_n < 4.0  # of 9 N
 
 
+def test_a_cell_with_a_fault_at_its_start_is_served_so_that_clients_can_clear_it(run_serve) -> None:
+    seen = []
+
+    def meanwhile(_over: threading.Event, service: Any, _manager: Any) -> None:
+        seen.append(service.plugin.status())
+
+    ended = run_serve(meanwhile, "--fault", "servo1.off", zero="on_demand", kind="simulated")
+    assert (seen[0].state, seen[0].fault_number) == ("ABORTED", 111)
+    assert "the cell is not ready: " in ended.stderr
+    assert "modbus_port" in json.loads(ended.stdout)
+
+
+def test_a_taken_port_ends_the_command_before_anything_moves(meddle, tmp_path) -> None:
+    built = meddle(lambda _made: None)
+    (tmp_path / "cell.yaml").write_text(SMALL.format(zero="always", kind="simulated"))
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        ended = CliRunner().invoke(
+            app, ["serve", "-c", str(tmp_path / "cell.yaml"), "--http", str(port)]
+        )
+    assert ended.exit_code == 1
+    assert "serve.http_port" in str(ended.exception)
+    assert built[0].controller.life.state == "STOPPED"
+    assert not any(servo.torque_on for servo in built[0].simulated.devices.servo_bus.servos)
+    assert built[0].simulated.clock.monotonic() < 0.2
+
+
 @pytest.mark.parametrize("file", [False, True])
 def test_a_terminal_alone_shows_the_tokens_of_the_page(
     serve, tmp_path, monkeypatch, capsys, file
@@ -564,7 +592,8 @@ def test_a_terminal_alone_shows_the_tokens_of_the_page(
     for module in (terminal, serving):
         monkeypatch.setattr(module, "err", console)
     served = serve(serve__http_port=0, serve__token_file=str(tmp_path / "token") * file)
-    with serving._announced_interfaces(served.service):
+    with open_interfaces(served.service) as interfaces:
+        serving._announce(served.service, interfaces)
         line = json.loads(capsys.readouterr().out)
     tokens = re.findall(rf"http://127.0.0.1:{line['http_port']}/#token=(\S+)", screen.getvalue())
     assert tokens[1] == view_token(tokens[0])

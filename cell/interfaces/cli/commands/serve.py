@@ -5,8 +5,8 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import closing, suppress
 from math import inf
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,15 +15,24 @@ import typer
 
 from cell.config.file import changed_config
 from cell.config.serve import ALL_CLOSED
+from cell.control.states import CellState
 from cell.errors import CellError, CellStopped, ConfigError
 from cell.installation import missing_note
 from cell.interfaces.cli import options
-from cell.interfaces.cli.session import cell_config, job_folder, model_of_folder, with_faults
+from cell.interfaces.cli.session import (
+    cell_config,
+    job_folder,
+    model_of_folder,
+    release_command,
+    with_faults,
+)
 from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
 from cell.interfaces.cli.terminal import err, print_note, print_page, print_view
 from cell.interfaces.opening import open_interfaces, warnings
 from cell.interfaces.page_address import page_address, view_note
 from cell.service.service import Service, open_service
+from gripper.errors import GripperError
+from tactile.errors import TactileError
 
 _FEEDS = 4
 """Messages to the watchdog within its time-out: three may be lost or late."""
@@ -185,18 +194,32 @@ def serve(
         stopping(stop, end_within_s=END_WITHIN_S, left=NOTHING_LET_GO),
         closing(service),
         suppress(CellStopped),
+        # Before anything moves, so that a used port or a bad token file ends it here.
+        open_interfaces(service) as interfaces,
     ):
+        _connect(service)
+        _announce(service, interfaces)
+        if untaught:
+            _teach_first(service, over)
+        service.plugin.follow_real_time(speed)
+        manager = ServiceManager()
+        manager.ready()
+        report_until(over, service, manager)
+        manager.stopping()
+        if config is not None and service.plugin.status().holding:
+            print_note(f"a part may be in the grip; to release it: {release_command(config)}")
+
+
+def _connect(service: Service) -> None:
+    """Start the cell; a fault is latched, so that clients see it and can clear it."""
+    try:
         service.plugin.connect()
-        if zero_note := service.plugin.health()["zero"]["text"]:
-            print_note(zero_note)
-        with _announced_interfaces(service):
-            if untaught:
-                _teach_first(service, over)
-            service.plugin.follow_real_time(speed)
-            manager = ServiceManager()
-            manager.ready()
-            report_until(over, service, manager)
-            manager.stopping()
+    except (CellError, GripperError, TactileError) as error:
+        if service.plugin.status().state == CellState.STOPPED:
+            raise
+        print_note(f"the cell is not ready: {error}")
+    if zero_note := service.plugin.health()["zero"]["text"]:
+        print_note(zero_note)
 
 
 def report_until(over: threading.Event, service: Service, manager: ServiceManager) -> None:
@@ -218,32 +241,27 @@ def _status_line(service: Service) -> str:
     return f"{status.state}{held}" + (f", fault {status.fault_number}" if status.fault else "")
 
 
-@contextmanager
-def _announced_interfaces(service: Service) -> Iterator[None]:
-    """Open the interfaces of a service and print their addresses; close all at the end."""
-    with open_interfaces(service) as interfaces:
-        for note in warnings(service):
-            print_note(note)
-        config = service.config.serve
-        # Other users may read the journal or the log of a container, for months.
-        secret = ("token", "view_token")
-        typer.echo(
-            json.dumps({name: interfaces[name] for name in interfaces if name not in secret})
+def _announce(service: Service, interfaces: Mapping[str, Any]) -> None:
+    """Print the addresses of the open interfaces of a service."""
+    for note in warnings(service):
+        print_note(note)
+    config = service.config.serve
+    # Other users may read the journal or the log of a container, for months.
+    secret = ("token", "view_token")
+    typer.echo(json.dumps({name: interfaces[name] for name in interfaces if name not in secret}))
+    page, view = (page_address(interfaces, config, which) for which in secret)
+    if page and not err.is_terminal:
+        where = (
+            f"its token is in {config.token_file}"
+            if config.token_file
+            else "its token is shown on a terminal only; --token-file FILE sets one"
         )
-        page, view = (page_address(interfaces, config, which) for which in secret)
-        if page and not err.is_terminal:
-            where = (
-                f"its token is in {config.token_file}"
-                if config.token_file
-                else "its token is shown on a terminal only; --token-file FILE sets one"
-            )
-            print_page(f"{page.partition('#')[0]} ({where})")
-        elif page and view:
-            print_page(page)
-            print_view(view, view_note(config))
-        elif config.http_port is None:
-            print_note("the page for a browser is off: open it with --http 8080 or serve.http_port")
-        yield
+        print_page(f"{page.partition('#')[0]} ({where})")
+    elif page and view:
+        print_page(page)
+        print_view(view, view_note(config))
+    elif config.http_port is None:
+        print_note("the page for a browser is off: open it with --http 8080 or serve.http_port")
 
 
 def free_page_port(listen: str) -> int | None:
