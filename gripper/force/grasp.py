@@ -5,8 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from gripper.errors import GripContradicted, GripperStateError, PartLost
-from gripper.force.approach.approach import Approach, ApproachEvent
-from gripper.force.approach.contact import ContactRest
+from gripper.force.approach.approach import Approach, ApproachEvent, ContactRest
 from gripper.force.approach.mechanics_proof import (
     ZERO_RANGE_M,
     closes_farther,

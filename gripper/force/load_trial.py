@@ -2,8 +2,7 @@
 
 from math import inf
 
-from gripper.force.control.drive_goals import GIVE_RAD
-from gripper.force.control.grip_control import GripControl
+from gripper.force.control.grip_control import GIVE_RAD, GripControl
 from gripper.force.estimates.grip import History
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.identification import LoadPoint

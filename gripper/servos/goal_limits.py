@@ -25,8 +25,7 @@ from gripper.mechanics.impact import (
 from gripper.mechanics.kinematics import Linkage, Transmission, transmissions
 from gripper.servos.motion import slow_rad_s
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.values.force_sensor import ForceSample
-from gripper.values.recent import QUIET_N, RecentForce
+from gripper.values.force_sensor import QUIET_N, ForceSample, RecentForce
 from gripper.values.state import ServoFeedback, ServoState
 
 _SURE_SAMPLES = 2

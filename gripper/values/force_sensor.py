@@ -1,6 +1,9 @@
-"""Force on the fingers: a sample, and the interface of its sensor."""
+"""Force on the fingers: a sample, the interface of its sensor, the newest samples."""
 
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
+from math import sqrt
 from typing import Protocol
 
 
@@ -51,3 +54,112 @@ class ForceSensor(Protocol):
 
     def latest_force(self) -> ForceSample | None:
         """Return the newest sample, None while there is none; the caller judges its age."""
+
+
+FRAME_S = 0.02
+"""Period in s of whole frames, the slowest supported samples: 50 Hz. [chosen]"""
+ONE_FRAME_S = 0.018
+"""Time in s in which faster samples count as one frame: just below its period. [chosen]"""
+LOOK_BACK_S = 4.5 * FRAME_S
+"""Time in s of a look back: five frames."""
+QUIET_N = 0.08
+"""Noise in N of the mean grip force for control and caps: a fraction of the tolerance of a ramp's
+end. [tuned]"""
+LEAST_SAMPLES = 3
+"""Samples of this mean for a slower sensor. [chosen]"""
+
+
+class RecentForce:
+    """Newest force samples, enough for a noise of their mean below a limit.
+
+    A fast sensor gives many in a short time. A slow sensor gives its last few.
+
+    Parameters
+    ----------
+    noise_n
+        Standard deviation in N of the mean grip force that is low enough.
+    least
+        Samples that are kept although they are older than ``longest_s``.
+    longest_s
+        Largest age in s of other samples, counted from the newest one; None: that of the oldest of
+        ``least`` frames, with half a frame to spare.
+    """
+
+    def __init__(
+        self,
+        noise_n: float = QUIET_N,
+        *,
+        least: int = LEAST_SAMPLES,
+        longest_s: float | None = None,
+    ) -> None:
+        self._noise_n = noise_n
+        self._least = least
+        self._longest_s = (least - 0.5) * FRAME_S if longest_s is None else longest_s
+        self._samples: deque[ForceSample] = deque()
+
+    def __len__(self) -> int:
+        return len(self._samples)
+
+    def __iter__(self) -> Iterator[ForceSample]:
+        """Iterate over the samples, the newest one first."""
+        return reversed(self._samples)
+
+    @property
+    def newest(self) -> ForceSample:
+        """The newest sample."""
+        return self._samples[-1]
+
+    @property
+    def oldest(self) -> ForceSample:
+        """The oldest sample."""
+        return self._samples[0]
+
+    @property
+    def finger_means_n(self) -> tuple[float, float]:
+        """Mean force in N on finger 0 and finger 1."""
+        first_n = second_n = 0.0
+        for sample in self._samples:
+            first_n += sample.force_n[0]
+            second_n += sample.force_n[1]
+        return first_n / len(self._samples), second_n / len(self._samples)
+
+    @property
+    def grip_n(self) -> float:
+        """Mean grip force in N."""
+        both_n = 0.0
+        for sample in self._samples:
+            both_n += sample.force_n[0] + sample.force_n[1]
+        return 0.5 * both_n / len(self._samples)
+
+    @property
+    def noise_n(self) -> float:
+        """Standard deviation of the mean grip force in N."""
+        return sqrt(sum([sample.noise_n**2 for sample in self._samples])) / len(self._samples)
+
+    @property
+    def complete(self) -> bool:
+        """Whether the noise of the mean is low enough, or the samples are the least number."""
+        return len(self._samples) >= self._least or self.noise_n <= self._noise_n
+
+    def clear(self) -> None:
+        """Discard all samples."""
+        self._samples.clear()
+
+    def push(self, sample: ForceSample) -> list[ForceSample] | None:
+        """Add a sample and return those that it replaces; None for one that is not newer."""
+        samples = self._samples
+        if samples and sample.t_s <= samples[-1].t_s:
+            return None
+        samples.append(sample)
+        variance_n2 = 0.0
+        for one in samples:
+            variance_n2 += one.noise_n**2
+        replaced: list[ForceSample] = []
+        for left in range(len(samples) - 1, 0, -1):
+            variance_n2 -= samples[0].noise_n ** 2
+            enough = variance_n2 <= (self._noise_n * left) ** 2
+            old = sample.t_s - samples[0].t_s > self._longest_s and left >= self._least
+            if not enough and not old:
+                break
+            replaced.append(samples.popleft())
+        return replaced

@@ -1,5 +1,5 @@
 """The simulated world between the fingers, for the cell and for virtual grasps.
 
-`world` presses rigid objects (`shapes`, `shape_files`) into foam pads (`foam`, `press`) and scans
-their taxels (`taxels`); `stage` moves them with the axes.
+`world` presses rigid objects (`shapes`) into foam pads and scans their taxels (`pads`); `stage`
+moves them with the axes.
 """

@@ -27,7 +27,7 @@ from gripper.servos.goal_limits import (
 )
 from gripper.servos.motion import slow_rad_s, still_rad
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.values.recent import FRAME_S, LEAST_SAMPLES, RecentForce
+from gripper.values.force_sensor import FRAME_S, LEAST_SAMPLES, RecentForce
 from gripper.values.state import ServoFeedback, ServoState
 
 _STANDING_S, _STANDING_RAD = 0.2, 0.03

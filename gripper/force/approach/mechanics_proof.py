@@ -44,8 +44,8 @@ from dataclasses import replace
 
 from gripper.errors import GripperError, LimitExceeded, MechanicsContradicted
 from gripper.mechanics.kinematics import Linkage
+from gripper.servos.feedback import BEYOND_CLOSED_M
 from gripper.servos.goal_limits import BEYOND_MIDDLE_M
-from gripper.servos.plausibility import BEYOND_CLOSED_M
 from gripper.settings import GripperSettings
 from gripper.values.servo_checks import VerificationRow
 from gripper.values.state import ServoFeedback

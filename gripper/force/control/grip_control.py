@@ -1,14 +1,135 @@
 """Control of the grip force of one grasp: one period, from the set-point to the servos' goals."""
 
+from collections.abc import Sequence
+from math import inf
+
+from gripper.dynamixel.models import ServoModel
 from gripper.force.approach.approach import Approach
-from gripper.force.control.drive_goals import GIVE_RAD, DriveGoals
 from gripper.force.control.law import ForceLaw, Period
 from gripper.force.estimates.grip import KNOWN_N, Grip, History
 from gripper.force.loop import Moment
 from gripper.force.supervision.part_watch import PartWatch
-from gripper.mechanics.kinematics import Linkage, mean_friction_n, transmissions
-from gripper.servos.goal_limits import ServoGoal
+from gripper.mechanics.kinematics import Linkage, Transmission, mean_friction_n, transmissions
+from gripper.servos.goal_limits import (
+    ServoGoal,
+    closing_margin_rad,
+    most_closed_rad,
+    running_lead_rad,
+)
+from gripper.values.force_sensor import LOOK_BACK_S
 from gripper.values.state import ServoFeedback
+
+GIVE_RAD = 0.03
+"""Largest opening of a goal beyond the contact in rad: pads and part are not deeper. [assumed]"""
+
+_REST_SHARE = 0.5
+"""Share of the friction by which the drive that stays after an error is above the largest force of
+the last frames. The force does not grow. [chosen]"""
+
+
+class DriveGoals:
+    """Goals of the servos of one grip.
+
+    Parameters
+    ----------
+    grip
+        Estimates and set-point of the grip.
+    contact
+        Feedback at the contact; the fingers are not driven open beyond it by more than a pad's
+        thickness.
+    """
+
+    def __init__(self, grip: Grip, contact: ServoFeedback) -> None:
+        self._grip = grip
+        self._contact_rad = self._deepest_rad = contact.angles_rad
+        self._least_rad = most_closed_rad(grip.settings, grip.linkage)
+        self._stop_rad: tuple[float, ...] | None = None
+        self._balances_n = History()
+
+    @property
+    def may_open(self) -> bool:
+        """Whether the fingers may open farther."""
+        return self._stop_rad is None
+
+    def goals(self, state: ServoFeedback) -> tuple[ServoGoal, ...]:
+        """Return the goals that make the driving force of the grip."""
+        grip = self._grip
+        paths = transmissions(grip.settings, grip.linkage, state.angles_rad)
+        friction_n = mean_friction_n(paths)
+        self._limit(state, paths, friction_n)
+        goals = []
+        self._deepest_rad = tuple(map(min, self._deepest_rad, state.angles_rad))
+        if state.aperture_m < grip.touch_m:
+            self._stop_rad = None
+        elif self._stop_rad is None:
+            self._stop_rad = state.angles_rad
+        stop_rad = self._stop_rad or (inf,) * len(paths)
+        balance_n, push_n = grip.balance_n, grip.drive_n - grip.balance_n
+        # The newest samples may be those of a fault that is not detected yet.
+        self._balances_n.add(state.t_s, max(balance_n, 0.0))
+        most_n = self._balances_n.most(since_s=state.t_s - LOOK_BACK_S)
+        for servo, path, settings, contact_rad, deepest_rad, widest_rad, least_rad in zip(
+            state.servos,
+            paths,
+            grip.settings.servos,
+            self._contact_rad,
+            self._deepest_rad,
+            stop_rad,
+            self._least_rad,
+            strict=True,
+        ):
+            # A position that drifts open must not move a closing goal to the open side.
+            closed_rad = min(least_rad, servo.angle_rad)
+            held_n = most_n + _REST_SHARE * path.friction_n
+            held_a = min(held_n / path.n_per_a, grip.settings.current_max_a)
+            rest = self._closing(settings.servo_model, held_a, deepest_rad, closed_rad)
+            # Each servo drives with the same share of its own friction.
+            own_n = balance_n + push_n * path.friction_n / friction_n
+            current_a = abs(own_n) / path.n_per_a
+            # In mode 5 the goal current is a magnitude: the side of the goal position is its sign.
+            if own_n >= 0.0:
+                goal = self._closing(settings.servo_model, current_a, deepest_rad, closed_rad)
+            else:
+                # Without a further goal the finger opens by no more than this.
+                lead_rad = running_lead_rad(settings.servo_model, current_a, 0.0)
+                lead_rad += settings.servo_model.rad_per_pulse
+                goal = ServoGoal(
+                    angle_rad=min(servo.angle_rad + lead_rad, contact_rad + GIVE_RAD, widest_rad),
+                    current_a=current_a,
+                    setpoint_n=grip.setpoint_n,
+                )
+            goals.append(goal._replace(rest=rest))
+        return tuple(goals)
+
+    def _limit(
+        self, state: ServoFeedback, paths: Sequence[Transmission], friction_n: float
+    ) -> None:
+        """Limit balance and drive of the grip by the caps of current and force.
+
+        The servo that reaches its cap first limits all: else one finger pushes the other aside.
+        """
+        grip, settings = self._grip, self._grip.settings
+        most_a = min(settings.current_max_a, *(servo.limit_a for servo in state.servos))
+        caps_n = [
+            min(most_a, path.pressing_current_a(settings.force_max_n)) * path.n_per_a
+            for path in paths
+        ]
+        push_n = grip.drive_n - grip.balance_n
+        grip.balance_n = balance_n = max(-min(caps_n), min(grip.balance_n, *caps_n))
+        for cap_n, path in zip(caps_n, paths, strict=True):
+            share = friction_n / path.friction_n
+            push_n = min(max(push_n, (-cap_n - balance_n) * share), (cap_n - balance_n) * share)
+        grip.drive_n = balance_n + push_n
+
+    def _closing(
+        self, model: ServoModel, current_a: float, deepest_rad: float, closed_rad: float
+    ) -> ServoGoal:
+        """Return the goal that closes with a current in A, at most to an angle in rad."""
+        return ServoGoal(
+            angle_rad=max(deepest_rad - closing_margin_rad(model, current_a), closed_rad),
+            current_a=current_a,
+            setpoint_n=self._grip.setpoint_n,
+        )
 
 
 class GripControl:

@@ -33,8 +33,7 @@ from gripper.force.loop import Moment
 from gripper.mechanics.impact import CURRENT_S, ImpactLimit, current_share, impact_limit
 from gripper.mechanics.kinematics import Transmission, driving_n
 from gripper.servos.goal_limits import MOST_STICTION, pressing_speed_m_s
-from gripper.values.force_sensor import ForceSample
-from gripper.values.recent import FRAME_S, LOOK_BACK_S
+from gripper.values.force_sensor import FRAME_S, LOOK_BACK_S, ForceSample
 from gripper.values.state import ServoFeedback
 
 _ACTS_S = 0.001 + CURRENT_S

@@ -7,7 +7,7 @@ from math import inf, sqrt
 from gripper.force.loop import Moment
 from gripper.mechanics.kinematics import Linkage, opening_steps_m
 from gripper.settings import GripperSettings
-from gripper.values.recent import ONE_FRAME_S
+from gripper.values.force_sensor import ONE_FRAME_S
 
 _LENGTH = 128
 """Periods kept of a value: 0.64 s at 200 Hz, several times the delay of a sensor. [chosen]"""

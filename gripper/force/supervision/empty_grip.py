@@ -1,8 +1,7 @@
 """Confirmation that nothing is held, before an opening without a request."""
 
 from gripper.errors import GripContradicted
-from gripper.force.approach.approach import Approach, ApproachEvent
-from gripper.force.approach.contact import LOADED_SHARE
+from gripper.force.approach.approach import LOADED_SHARE, Approach, ApproachEvent
 from gripper.force.estimates.grip import SOFTEST_N_M
 from gripper.force.loop import Action, Moment
 from gripper.force.supervision.part_watch import ADVICE, BREAKAWAY_SHARE, RUN_STEPS, FrameMean
@@ -10,7 +9,7 @@ from gripper.mechanics.kinematics import Linkage, transmissions
 from gripper.servos.goal_limits import standing
 from gripper.servos.group import frozen
 from gripper.settings import GripperSettings
-from gripper.values.recent import LEAST_SAMPLES, RecentForce
+from gripper.values.force_sensor import LEAST_SAMPLES, RecentForce
 from gripper.values.state import ServoFeedback
 
 _TRY_S = 0.5

@@ -11,13 +11,12 @@ from math import inf, sqrt
 from typing import NamedTuple
 
 from gripper.errors import ForceImbalance, GripContradicted, PositionContradicted
-from gripper.force.approach.contact import LOADED_SHARE
+from gripper.force.approach.approach import LOADED_SHARE
 from gripper.force.estimates.grip import KNOWN_N, SOFTEST_N_M, Grip
 from gripper.force.loop import Moment
 from gripper.mechanics.kinematics import driving_n, mean_friction_n, transmissions
 from gripper.settings import GripperSettings
-from gripper.values.force_sensor import ForceSample
-from gripper.values.recent import FRAME_S, LOOK_BACK_S, ONE_FRAME_S, RecentForce
+from gripper.values.force_sensor import FRAME_S, LOOK_BACK_S, ONE_FRAME_S, ForceSample, RecentForce
 from gripper.values.state import ServoFeedback
 
 _EMPTY_S = 5 * FRAME_S

@@ -11,8 +11,7 @@ from gripper.errors import PartSlipped
 from gripper.force.loop import Moment
 from gripper.force.supervision.part_watch import STEADY_S
 from gripper.settings import GripperSettings
-from gripper.values.force_sensor import ForceSample
-from gripper.values.recent import FRAME_S, RecentForce
+from gripper.values.force_sensor import FRAME_S, ForceSample, RecentForce
 
 _USUAL_TIME_S = 0.6
 """Time constant in s of the usual force, from which a drop is measured. [tuned]"""

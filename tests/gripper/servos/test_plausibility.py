@@ -10,7 +10,7 @@ import pytest
 from gripper.errors import FeedbackImplausible, PositionContradicted, ServoFault
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.kinematics import ParallelLinkage
-from gripper.servos.plausibility import FeedbackCheck, MotorTravel
+from gripper.servos.feedback import FeedbackCheck, MotorTravel
 from gripper.settings import GripperSettings
 from gripper.values.state import Cycle, GripperPhase, ServoState
 from tests.values import make_servo

@@ -2,8 +2,7 @@
 
 import pytest
 
-from gripper.values.force_sensor import ForceSample
-from gripper.values.recent import RecentForce
+from gripper.values.force_sensor import ForceSample, RecentForce
 
 
 def sample(t_s: float, force_n: float = 1.0, noise_n: float = 0.3) -> ForceSample:

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from gripper.force.approach.approach import Approach, ApproachEvent
-from gripper.force.approach.contact import ContactDetector, ContactRest
+from gripper.force.approach.approach import Approach, ApproachEvent, ContactDetector, ContactRest
 from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.kinematics import ParallelLinkage

@@ -8,7 +8,7 @@ from statistics import median
 import pytest
 
 from gripper.errors import LimitExceeded
-from gripper.force.control.drive_goals import GIVE_RAD, DriveGoals
+from gripper.force.control.grip_control import GIVE_RAD, DriveGoals
 from gripper.force.control.law import ForceLaw, ForcePlan
 from gripper.force.control.observer import GripObserver
 from gripper.force.estimates.grip import STIFFEST_N_M, StiffnessEstimate
