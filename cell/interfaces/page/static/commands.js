@@ -1,6 +1,6 @@
 // Commands: Hold for everybody, the others for the page in command. A blocked button shows why.
 
-import { allow, ask, byId, isAllowed, onLongPress, setText, show } from "./dom.js";
+import { allow, ask, byId, isAllowed, onLongPress, setText } from "./dom.js";
 import { Link, Refused } from "./link.js";
 import { runs } from "./band.js";
 import { faultText, has, loadWords, native, t } from "./words.js";
@@ -112,7 +112,6 @@ export function renderCommands(view) {
     allow(byId(`do_${command}`), t(`do.${command}`), t(`hint.${command}`), reasonOf(view, command));
     byId(`do_${command}`).title = view.state?.allowed?.[command]?.text ?? "";
   }
-  show(byId("do_verify"), Boolean(view.state?.status.holding)); // only a held part is verified
   allow(byId("do_release"), t("do.release"), t("release.hint"), reasonOf(view, "release"));
   setText(byId("hold").firstElementChild, t("hold.word"));
 }
