@@ -39,6 +39,8 @@ _AT_START = "the cell sets it at its start"
 """Advice for a register that a start corrects."""
 _TORQUE = "servo torque"
 """Name of the check of the servos' torque."""
+_SENSOR = "control unit"
+"""Name of the check of the control unit, or of another sensor."""
 _PRESSED_SIGMAS = 6.0
 """Distance of a taxel's mean from the rest, in spreads of the counts, that shows pressure."""
 
@@ -163,7 +165,7 @@ def _devices(config: CellConfig, named: str, earlier: Commissioning) -> Iterator
     try:
         yield from _guarded(_TORQUE, lambda: _torque(cell, named))
         yield from _guarded("servos", lambda: _servos(cell, named, earlier))
-        yield from _guarded("control unit", lambda: _control_unit(cell, config, named, earlier))
+        yield from _guarded(_SENSOR, lambda: _control_unit(cell, config, named, earlier))
         yield from _axes(cell)
     finally:
         cell.close()
@@ -187,7 +189,10 @@ def _guarded(what: str, check: Callable[[], list[Finding]]) -> Iterator[Finding]
     except AnswersOff as error:
         yield check_result(what, str(error), _AT_START)
     except (GripperError, TactileError) as error:
-        advice = "check power, id and bit rate"
+        keys = "gripper.servos[].id and gripper.baud_rate"
+        if what == _SENSOR:
+            keys = "tactile.node_id, tactile.bitrate and tactile.sensor"
+        advice = f"check power, cable, {keys}"
         if what == _TORQUE:
             advice += "; it is unknown whether a part is held: the servos keep their last goals"
         yield check_result(what, str(error), advice, bad=Verdict.FAIL)
@@ -215,12 +220,11 @@ def _torque(cell: Cell, named: str) -> list[Finding]:
 def _servos(cell: Cell, named: str, earlier: Commissioning) -> list[Finding]:
     rows = cell.controller.hand.inspect().rows
     read = {(row.servo_id, row.item): row.actual for row in rows}
+    # Of another model only the number is read: that is a finding below.
     servos = {
-        row.servo_id: (
-            model_name(int(read[row.servo_id, "model_number"])),
-            int(read[row.servo_id, "firmware_version"]),
-        )
-        for row in rows
+        servo_id: (model_name(int(read[servo_id, "model_number"])), int(firmware))
+        for (servo_id, item), firmware in read.items()
+        if item == "firmware_version"
     }
     findings = earlier.changed_servos(servos)
     for row in rows:

@@ -357,9 +357,10 @@ class Servos:
         )
         report = VerificationReport(rows=rows)
         advice = (
-            "give the servo its ID, or name the right one in the settings"
+            "give the servo its ID, or name the right one in gripper.servos[].id"
             if others
-            else "check supply, cable, baud rate and that no two servos share an ID"
+            else "check supply, cable, gripper.baud_rate and gripper.servos[].id, and that no two "
+            "servos share an ID"
         )
         if old := self._bus.scan_protocol_1(sorted({*silent, _FACTORY_ID})):
             advice = protocol_1_text(old)

@@ -62,7 +62,7 @@ class ReleaseReport:
             return (
                 f"the fingers are open according to their servos; the finger of servo {wider} was "
                 f"not moved, because it is reported as wider open than the gripper opens. If it is "
-                f"not, check encoder, horn and zero_pulse of the servo"
+                f"not, check encoder, horn and zero_pulse of the servo, and gripper.linkage"
             )
         opened = ", ".join(map(str, self.opened))
         remedies = []

@@ -320,6 +320,7 @@ def test_a_servo_with_another_id_is_named_in_the_table(cell) -> None:
         cell.gripper.start()
     (row,) = bad.value.report.failed
     assert (row.servo_id, row.item, row.expected) == (2, "ping", "an answer at 1000000 baud")
+    assert "or name the right one in gripper.servos[].id" in str(bad.value)
     assert not cell.servos[0].torque_on
 
 
@@ -363,8 +364,8 @@ def echo_alone(cell) -> None:
 @pytest.mark.parametrize(
     ("change", "hint"),
     [
-        (lambda cell: setattr(cell.device, "baudrate", 57600), "check supply, cable, baud rate"),
-        (echo_alone, "check supply, cable, baud rate"),
+        (lambda cell: setattr(cell.device, "baudrate", 57600), r"gripper\.baud_rate and gripper\.servos\[\]\.id"),
+        (echo_alone, r"gripper\.baud_rate and gripper\.servos\[\]\.id"),
         (lambda cell: in_protocol_1(cell, 1), r"1\.0 come from servo 1: .*\(register 13\) to 2"),
         (lambda cell: in_protocol_1(cell, 2), r"1\.0 come from servo 2: .*\(register 13\) to 2"),
     ],
@@ -677,3 +678,4 @@ def test_a_finger_that_is_said_to_stand_too_wide_open_is_named(started) -> None:
     report = started.gripper.release()
     assert report.wider == (1,)
     assert "the finger of servo 1 was not moved" in str(report)
+    assert "zero_pulse of the servo, and gripper.linkage" in str(report)

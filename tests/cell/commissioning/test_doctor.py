@@ -103,12 +103,21 @@ def disturb(simulated: Any) -> None:
     once(simulated.clock, operational, lambda: simulated.inject("can.lose_next=5"), after_s=0.1)
 
 
+def other_model(simulated: Any) -> None:
+    """Exchange servo 2 for an XM430-W210."""
+    simulated.devices.servo_bus.servos[1].registers.put("model_number", 1030)
+
+
 @pytest.mark.parametrize(
     ("fault", "what", "verdict", "text", "advice"),
     [
         ("unit.stuck", "noise of the taxels", Verdict.WARN, "0 of 408 change at rest", "press"),
-        ("unit.off", "control unit", Verdict.FAIL, "did not boot", "check power"),
-        ("servo2.off", "servos", Verdict.FAIL, "servo 2", "check power"),
+        ("unit.off", "control unit", Verdict.FAIL, "did not boot", "tactile.node_id, tactile.bit"),
+        ("servo2.off", "servos", Verdict.FAIL, "servo 2", "gripper.servos[].id and gripper.baud_r"),
+        (
+            *(other_model, "servo 2 model_number", Verdict.FAIL),
+            *("1030 (expected 1020)", "correct the config"),
+        ),
         (
             *("servo2.turned", "servo 2 present_position", Verdict.FAIL),
             "gripper.servos[1].direction 1, zero_pulse 2048, gripper.linkage",
