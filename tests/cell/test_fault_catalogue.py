@@ -3,7 +3,9 @@
 import importlib
 import inspect
 import pkgutil
+import re
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -42,6 +44,14 @@ def error_classes() -> Iterator[type[BaseException]]:
 def test_every_error_class_has_a_number_of_its_own() -> None:
     missing = {kind.__name__ for kind in error_classes()} - {kind.__name__ for kind in CATALOGUE}
     assert missing == REPORTS_ANOTHER
+
+
+def test_every_class_but_the_bases_is_raised_somewhere() -> None:
+    packages = (gripper, motion, tactile, recognition, cell)
+    files = (file for one in packages for file in Path(one.__path__[0]).rglob("*.py"))
+    made = set(re.findall(r"(?<!class )\b(\w+)\(", "".join(file.read_text() for file in files)))
+    bases = {"GripperError", "TactileError", "MotionError", "RecognitionError", "Exception"}
+    assert {kind.__name__ for kind in CATALOGUE} - made == bases
 
 
 @pytest.mark.parametrize("fault", CATALOGUE.values(), ids=lambda fault: str(fault.number))
