@@ -16,6 +16,7 @@ from cell.commissioning.findings import (
     Finding,
     Verdict,
     check_result,
+    commission_command,
     read_commissioned,
 )
 from cell.commissioning.ports import check_port
@@ -51,15 +52,15 @@ class Commissioning:
 
     values: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Values by the key of the step; empty without a commissioning."""
-    command: str = "tactile-cell commission"
+    command: str = commission_command(Path())
     """Command that repeats a step."""
 
     @classmethod
     def in_folder(cls, folder: Path) -> Self:
         """Read the findings in a folder. Raises CellError if commissioning.json cannot be read."""
         steps = read_commissioned(folder / STORE_NAME).steps
-        place = "" if folder == Path() else f" {quote(str(folder))}"
-        return cls({key: notes.values for key, notes in steps.items()}, cls().command + place)
+        values = {key: notes.values for key, notes in steps.items()}
+        return cls(values, commission_command(folder))
 
     def changed_unit(self, now: SourceIdentity) -> list[Finding]:
         """Return the differences of a control unit and its pads."""

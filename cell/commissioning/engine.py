@@ -261,11 +261,13 @@ class Engine:
         self.bench.values = {key: notes.values for key, notes in self.notes.items()}
 
 
+RESUME = "The findings are kept; the same command continues with this step"
+"""How a person resumes a commissioning that was left."""
+
+
 def leave(why: str) -> NoReturn:
     """Raise `WizardAborted` with instructions to resume."""
-    raise WizardAborted(
-        f"left: {why}. The findings are kept; run `tactile-cell commission` again to continue"
-    )
+    raise WizardAborted(f"left: {why}. {RESUME}")
 
 
 def _now() -> str:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from pydantic import TypeAdapter
@@ -12,6 +13,11 @@ from cell.files import COMMISSIONING, read_json
 
 STORE_NAME = "commissioning.json"
 """File in the cell's folder with the entries of the steps."""
+
+
+def commission_command(folder: Path) -> str:
+    """Return the command of a commissioning in a folder."""
+    return "tactile-cell commission" + ("" if folder == Path() else f" {quote(str(folder))}")
 
 
 class Verdict(StrEnum):

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import LIVE_CALL_S, Dialog, Step, StepFailed
-from cell.commissioning.findings import Notes, ProposedChange
+from cell.commissioning.findings import Notes, ProposedChange, commission_command
 from cell.commissioning.servos import torque_off
 from cell.config.gripper import ServoConfig, gripper_settings, linkage_of
 from gripper.dynamixel.bus import ServoBus
@@ -249,7 +249,7 @@ class _Hands:
         if fit.residual_m > _BAD_FIT_M:
             self._notes.warn(
                 f"the residual is above {_BAD_FIT_M * 1e3:g} mm: measure the blocks again, look "
-                "for play, and run `tactile-cell commission --redo fingers`"
+                f"for play, and run `{commission_command(self._bench.folder)} --redo fingers`"
             )
         self._notes.values |= {
             "residual_mm": round(fit.residual_m * 1e3, 3),

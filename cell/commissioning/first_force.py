@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import LIVE_CALL_S, Dialog, Step, StepFailed, WizardAborted
-from cell.commissioning.findings import Notes, ProposedChange
+from cell.commissioning.engine import LIVE_CALL_S, RESUME, Dialog, Step, StepFailed, WizardAborted
+from cell.commissioning.findings import Notes, ProposedChange, commission_command
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.config.sequence import ramp_from_config
@@ -27,7 +27,6 @@ from gripper.force.ramp import ForceRamp
 from gripper.servos.watchdog_proof import proof_travel_m
 from gripper.settings import largest_setpoint_n
 from gripper.values.outcome import GraspOutcome, GraspResult
-from gripper.values.servo_checks import VerificationReport
 from gripper.values.state import Cycle, GripperPhase
 from tactile.source import TactileFrame
 
@@ -89,18 +88,18 @@ def press_first(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     config = changed_config(bench.config, {"gripper.watchdog_self_test": proves})
     cap_n = config.gripper.force_max_n
     limit_n = floor(10.0 * largest_setpoint_n(cap_n)) / 10.0
-    most_n = dialog.number(
-        "first_force.most",
-        "Choose a soft part of 10 to 20 mm, for example a piece of foam or rubber. With which "
-        f"force may it be pressed? The cap of the config allows {limit_n:g} N.",
-        (FIRST_FORCE_N, limit_n, "N"),
-        min(limit_n, max(config.sequence.forces_n)),
-    )
-    dialog.approve(_motions(config, most_n))
-    dialog.confirm(
-        "first_force.empty", "Take everything out of the fingers, and your hands away from them."
-    )
     with _watched_hand(bench, config, dialog, notes) as trial:
+        trial.let_go()
+        most_n = dialog.number(
+            "first_force.most",
+            "Choose a soft part of 10 to 20 mm, for example a piece of foam or rubber. With which "
+            f"force may it be pressed? The cap of the config allows {limit_n:g} N.",
+            (FIRST_FORCE_N, limit_n, "N"),
+            min(limit_n, max(config.sequence.forces_n)),
+        )
+        dialog.approve(_motions(config, most_n))
+        text = "Take everything out of the fingers, and your hands away from them."
+        dialog.confirm("first_force.empty", text)
         trial.run(most_n, cap_n)
 
 
@@ -152,7 +151,19 @@ class _Trial:
     """Homing offset of each servo, by its ID."""
     _due_s: float = field(default=0.0, init=False)
 
+    def let_go(self) -> None:
+        """Open fingers that have torque from an earlier run, and may hold a part, if confirmed."""
+        if any(condition.torque_on for condition in self.hand.conditions()):
+            self.hand.start()
+            self.dialog.confirm(
+                "fingers.held",
+                "The servos have torque from an earlier run: a part may be held. Take hold of it; "
+                "the fingers open when you confirm.",
+            )
+            self.hand.release()
+
     def run(self, most_n: float, cap_n: float) -> None:
+        self.homing = homing_offsets(self.hand.start())
         self.hand.start_sensor()
         self._open()
         self.notes.fact("The empty fingers opened as direction, zero and linkage predict.")
@@ -245,7 +256,7 @@ class _Trial:
         if abs(opening_mm) > _MEET_MM:
             self.notes.warn(
                 "The zero of the opening is wrong: close the fingers by hand again with "
-                "`tactile-cell commission --redo fingers`."
+                f"`{commission_command(self.bench.folder)} --redo fingers`."
             )
 
     def _keep_drives(self) -> None:
@@ -308,8 +319,9 @@ class _Trial:
             )
         elif abs(held_n - asked_n) > max(_WRONG_N, _WRONG_SHARE * asked_n):
             self.notes.warn(
-                f"That is {held_n - asked_n:+.2f} N off: check the law of the pads (`tactile-cell "
-                "commission --redo pads_law`), and the linkage for friction."
+                f"That is {held_n - asked_n:+.2f} N off: check the law of the pads "
+                f"(`{commission_command(self.bench.folder)} --redo pads_law`), and the linkage for "
+                "friction."
             )
 
     def __call__(self, cycle: Cycle, _frames: Sequence[TactileFrame] = ()) -> None:
@@ -343,7 +355,7 @@ class _Trial:
 def _watched_hand(
     bench: Bench, config: CellConfig, dialog: Dialog, notes: Notes
 ) -> Iterator[_Trial]:
-    """Open and start the hand of a config on the bench's lines.
+    """Open the hand of a config on the bench's lines.
 
     A person who leaves stops the fingers. At the end the torque goes off if nothing is held; a held
     part stays held, with a message to the person who leaves. Raises PortLost, LinkFault or HandLost
@@ -358,34 +370,16 @@ def _watched_hand(
         )
     trial = _Trial(bench, config, dialog, notes, hand)
     try:
-        trial.homing = homing_offsets(_start_free(hand, dialog))
         yield trial
     except _LEFT as left:
         if hand.phase in (GripperPhase.OFF, GripperPhase.IDLE):
             raise
         raise WizardAborted(
-            f"{str(left) or 'left'}. The fingers keep their grip: take hold of the part and run "
-            "`tactile-cell commission` again; it first asks to open them"
+            f"{str(left) or f'left. {RESUME}'}. The fingers keep their grip: take hold of the "
+            "part; the step first asks to open them"
         ) from None
     finally:
         try:
             hand.shutdown()
         finally:
             hand.close()
-
-
-def _start_free(hand: Hand, dialog: Dialog) -> VerificationReport:
-    """Verify the servos; first open fingers that have torque from an earlier run.
-
-    They may hold a part: the person confirms it.
-    """
-    report = hand.start()
-    if hand.phase is GripperPhase.HELD_AFTER_FAULT:
-        dialog.confirm(
-            "fingers.held",
-            "The servos have torque from an earlier run: a part may be held. Take hold of it; the "
-            "fingers open when you confirm.",
-        )
-        hand.release()
-        report = hand.start()
-    return report

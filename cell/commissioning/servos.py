@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step, StepFailed
-from cell.commissioning.findings import Notes, ProposedChange
+from cell.commissioning.findings import Notes, ProposedChange, commission_command
 from cell.config.gripper import use_servo_models
 from cell.errors import CellError
 from cell.files import SERVO_BACKUP, free_name, read_json, write_json
@@ -45,8 +45,6 @@ _ADDRESS = (BAUD_RATE.name, SERVO_ID.name)
 """Items that a restore leaves: new servos share an ID, and would disturb each other again."""
 SETTLE_S = 0.1
 """Time in s between a change of ID or baud rate and the next request."""
-_UNDO = "`tactile-cell commission --restore` writes the backups back"
-"""How a person reverts the writes."""
 _VOLTAGE_MARGIN = 1.05
 """Supply voltage that gets a warning, relative to the least of the model."""
 
@@ -323,7 +321,8 @@ def _set_up(
         notes.fact(f"servo {servo_id}: {overload_text(table['shutdown'])}")
     if notes.failed:
         return
-    if not (writes := register_writes(changes, _UNDO)):
+    undo = f"`{commission_command(bench.folder)} --restore` writes the backups back"
+    if not (writes := register_writes(changes, undo)):
         notes.fact("all registers are as the cell needs them")
         return
     for servo_id, table in tables.items():
@@ -459,7 +458,7 @@ def restore(
     }
     if not backups:
         raise CellError(f"{bench.folder} has no backup of a servo (backup-servo*.json)")
-    undo = "run `tactile-cell commission --redo servos`"
+    undo = f"run `{commission_command(bench.folder)} --redo servos`"
     with bench.servo_bus(port) as bus:
         changes = {}
         for servo_id, registers in backups.items():

@@ -11,7 +11,15 @@ import pytest
 from typer.testing import CliRunner
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import CONFIG_NAME, RECORD_NAME, Dialog, Engine, Step, WizardAborted
+from cell.commissioning.engine import (
+    CONFIG_NAME,
+    RECORD_NAME,
+    RESUME,
+    Dialog,
+    Engine,
+    Step,
+    WizardAborted,
+)
 from cell.commissioning.findings import STORE_NAME, Finding, Notes, ProposedChange, Verdict
 from cell.commissioning.walk import all_steps
 from cell.config.file import changed_config, config_text, load_config
@@ -148,6 +156,7 @@ def test_the_command_goes_on_where_it_was_left_and_writes_config_and_record(
     command = ["commission", str(tmp_path), "--servo-port", "/dev/ttyUSB7", "--can", "socketcan:c"]
     left = CliRunner().invoke(app, command, input="\nq\n")
     assert (left.exit_code, (tmp_path / CONFIG_NAME).exists()) == (1, False)
+    assert left.output.count(RESUME) == 1
     done = CliRunner().invoke(app, command, input="\n\n\n")
     assert done.exit_code == 0, done.output
     assert f"{tmp_path}/{RECORD_NAME}" in done.stdout

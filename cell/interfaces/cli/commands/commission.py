@@ -11,6 +11,7 @@ import typer
 
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
+    RESUME,
     Answers,
     Dialog,
     Engine,
@@ -246,7 +247,7 @@ def commission(
                 print_line(f"steps to repeat: {', '.join(engine.redo(key))}")
             files = engine.run(dialog)
     except KeyboardInterrupt:
-        print_note("left; the results are kept. The same command continues with this step")
+        print_note(f"left. {RESUME}")
         raise typer.Exit(1) from None
     except WizardAborted as left:
         refused = "left: nothing was written; the same command shows the changes again"
