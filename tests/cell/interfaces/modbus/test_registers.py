@@ -282,8 +282,9 @@ def test_the_function_block_runs_every_command_of_the_map(block) -> None:
     until(lambda: not plc.cycle()["Busy"])
     assert (plc["Done"], plc["ErrorId"]) == (False, plc["FaultNumber"])
     assert (plc["FaultNumber"], plc["State"], plc["NotRecorded"]) == (401, 9, True)
-    for command in (CLEAR, RELEASE, RESET, STOP):
+    for command, needs_reset in ((CLEAR, True), (RELEASE, True), (RESET, False), (STOP, False)):
         assert plc.run(command) == (True, 0)
+        assert plc["NeedsReset"] is needs_reset
     assert plc["State"] == 2
     assert plc.run(IDENTIFY) == (False, 505)
     assert plc.run(RESET) == (True, 0)  # leaves STOPPED
@@ -368,6 +369,18 @@ def test_the_function_block_begins_anew_after_a_lost_connection(block) -> None:
     assert (plc["ErrorId"], plc["Busy"], served.grip_n > 1.0) == (1, False, True)
     served.service.lease.give_up(lease)
     assert plc.run(RELEASE) == (True, 0)
+
+
+def test_the_function_block_shows_each_bit_of_the_state() -> None:
+    outputs = {
+        "Holding": reg.HOLDING, "NoPart": reg.NO_PART, "PartLost": reg.LOST,
+        "NotSame": reg.UNNAMED, "NeedsReset": reg.NEEDS_RESET, "OnHold": reg.ON_HOLD,
+        "NotRecorded": reg.NOT_RECORDED,
+    }  # fmt: skip
+    block = FunctionBlock()
+    for name, bit in outputs.items():
+        block.call(Inputs=[reg.SIGNATURE, 0, bit, *[0] * 61])
+        assert [one for one in outputs if block[one]] == [name]
 
 
 def test_the_counters_of_the_function_block_begin_anew_after_65535() -> None:
