@@ -94,7 +94,7 @@ WRONG = """() => {
 @pytest.mark.parametrize("token", ["view_token", LONG("token")])
 @pytest.mark.parametrize("widths", [WIDTHS, LONG(MORE_WIDTHS)])
 def test_nothing_overlaps_or_breaks_at_any_width(open_page, cell, locale, token, widths) -> None:
-    cell.named("cylinder")
+    cell.named("dumbbell")
     url = cell.url.partition("token=")[0] + f"token={cell.served.interfaces[token]}"
     page = open_page(url, locale=locale, command=token == "token")
     becomes(page, "#cell", "Cell 3")
