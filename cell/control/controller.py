@@ -255,7 +255,8 @@ class CellController:
     def grip(self, force_n: float, pose: Pose | None = None) -> GraspRecord:
         """Close with a force ramp and keep the part: COMPLETE, without a name.
 
-        Without a ``pose`` the positioner does not move.
+        It is kept with the carry force, but at most with ``force_n``. Without a ``pose`` the
+        positioner does not move.
 
         Raises
         ------
@@ -267,6 +268,7 @@ class CellController:
         self._check_step(step)
         self.journal.begin()
         with self.life.executing(Event.EXECUTE):
+            self.kept_part.wanted_force_n = min(force_n, self._config.sequence.carry_force_n)
             reached = step.pose if pose is None else self.moves.move_to(pose)
             record = self._close(step, reached, "", None)
             if record.outcome.result in NOTHING_HELD:
@@ -447,6 +449,7 @@ class CellController:
     def _judged(self, record: GraspRecord, judge: Judge) -> bool:
         """Hold the part until it is judged; return whether it was kept."""
         first, zero = record, open_counts(record.grasp)
+        self.kept_part.wanted_force_n = self._config.sequence.carry_force_n
         while True:
             if judge.keeps:
                 self.kept_part.measure(zero)

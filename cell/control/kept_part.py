@@ -114,7 +114,7 @@ class KeptPart:
     journal: Journal
     watch: MotionWatch
     wanted_force_n: float
-    """``carry_force_n`` of the config; it does not depend on the grip force."""
+    """``carry_force_n`` of the config, but at most the force of a grip without a name."""
     _zero: NDArray[np.float64] = field(init=False)
     _then: HeldPart = field(init=False)
 

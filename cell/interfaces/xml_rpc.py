@@ -239,7 +239,10 @@ class Calls:
         )
 
     def grip(self, lease: int, force_n: float, job: int = 0) -> int:
-        """Start to grip a part and keep it, without a name. Return the job."""
+        """Start to grip a part; it is kept with `force_n`, at most `carry_force_n`. Return the job.
+
+        0 N: `carry_force_n`.
+        """
         return self._service.request(lease, "grip", number=job, force_n=force_n)
 
     def verify(self, lease: int, job: int = 0) -> int:

@@ -88,9 +88,9 @@ class GripGoal(_Goal):
     """Grip a part and keep it, without a name."""
 
     task: ClassVar[str] = "grip"
-    force_n: float = Field(gt=0.0, le=50.0)
-    """Force at the end of the ramp in N, up to 50. The part is then held with
-    ``sequence.carry_force_n`` of the config, 4 N by default."""
+    force_n: float | None = Field(default=None, gt=0.0, le=50.0)
+    """Force at the end of the ramp in N, up to 50, or None for ``sequence.carry_force_n`` of the
+    config, 4 N by default. The part is then held with the smaller of both."""
     present: str | None = None
     """Object to place between the fingers first, if the positioner can (simulated cell). Without an
     object the positioner does not move."""

@@ -432,12 +432,12 @@ class Tasks:
 
         Raises as `CellController.grip`.
         """
-        controller = self.controller
-        carry_n = controller.kept_part.wanted_force_n
-        gripped = {"task": "grip", "force_n": goal.force_n, "held_with_n": carry_n}
+        controller, carry_n = self.controller, self.model.config.sequence.carry_force_n
+        force_n = goal.force_n or carry_n
+        gripped = {"task": "grip", "force_n": force_n, "held_with_n": min(force_n, carry_n)}
         report(gripped)
         controller.moves.present(goal.present)
-        record = controller.grip(goal.force_n, None if goal.present is None else Pose())
+        record = controller.grip(force_n, None if goal.present is None else Pose())
         verification = self.verify(None, report)
         report(gripped | {"short": record.outcome.short})
         return verification

@@ -154,7 +154,7 @@ COMMANDS = (
     HostCommand("identify", ("max_grasps", "force_n", "keep"), (2, 21),
                 "Start an identification; 0 grasps and 0 N: the values of the config"),
     HostCommand("grip", ("force_n",), (22,),
-                "Start to grip a part and keep it, without a name"),
+                "Start to grip a part; it is kept with `force_n`, at most `carry_force_n`"),
     HostCommand("verify", (), (23,), "Start to check whether the held part is still the same"),
     HostCommand("zero", (), (25,),
                 "Start to measure the zero with the empty fingers closed on each other"),

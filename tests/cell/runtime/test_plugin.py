@@ -417,7 +417,7 @@ def test_what_was_forgotten_is_removed_once_it_can_be(make_plugin, taught, tmp_p
         ({"task": "identify", "speed": 2}, "goal identify: speed"),
         ({"task": "identify", "present": "\x1b[2J"}, "goal identify: present"),
         ({"task": "identify", "seed": 10**5000}, "goal identify: seed"),
-        ({"task": "grip"}, "goal grip: force_n"),
+        ({"task": "grip", "force_n": 0.0}, "goal grip: force_n"),
     ],
 )
 def test_goals_are_checked(goal: Any, complaint: str) -> None:
@@ -471,7 +471,7 @@ def test_an_idle_cell_in_real_time_is_supervised(make_plugin: Any, meddle: Any) 
 
 def test_a_part_is_gripped_without_a_name_and_survives_the_end_of_the_host(make_plugin) -> None:
     plugin = make_plugin()
-    job = plugin.start({"task": "grip", "force_n": 3.0, "present": "box"})
+    job = plugin.start({"task": "grip", "force_n": 5.0, "present": "box"})
     verification = plugin.result(job, LIMIT_S)
     assert (verification.held, verification.same, verification.reasons) == (True, True, ())
     assert verification.force_n == pytest.approx(4.0, abs=0.7)
@@ -483,6 +483,17 @@ def test_a_part_is_gripped_without_a_name_and_survives_the_end_of_the_host(make_
     status = plugin.status()
     assert (status.state_number, status.needs_reset, status.holding) == (17, False, True)
     plugin.close()
+    assert grip_n(plugin) > 3.0
+
+
+def test_a_part_is_held_with_no_more_force_than_a_grip_asked_for(plugin: Any) -> None:
+    for asked, held_n in (({}, 4.0), ({"force_n": 1.5}, 1.5)):
+        job = plugin.start({"task": "grip", "present": "box"} | asked)
+        assert plugin.result(job, LIMIT_S).force_n == pytest.approx(held_n, abs=0.5)
+        assert plugin.feedback(job).progress["held_with_n"] == held_n
+        assert done(plugin, VerifyGoal()).same
+        plugin.release()
+    done(plugin, IdentifyGoal(present="box", keep="always", max_grasps=1))
     assert grip_n(plugin) > 3.0
 
 
