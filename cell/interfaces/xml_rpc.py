@@ -254,7 +254,7 @@ class Calls:
         return self._service.request(lease, "zero", number=job)
 
     def sort(self, lease: int, parts: int, max_grasps: int, force_n: float, job: int = 0) -> int:
-        """Start to identify parts and release each at its place. Return the job."""
+        """Start to sort parts to their places; not with a callback positioner. Return the job."""
         return self._service.request(
             lease, "sort", number=job, parts=parts, max_grasps=max_grasps, force_n=force_n
         )

@@ -15,7 +15,7 @@ from cell.control.controller import CellController
 from cell.control.identification import Identification, OnGrasp
 from cell.control.part import Part, Verification
 from cell.control.plan import Keep, Pose, plan
-from cell.control.positioner import Destination
+from cell.control.positioner import CallbackPositioner, Destination
 from cell.control.records import GraspRecord
 from cell.control.zeroing import zero_text
 from cell.errors import CellError, ConfigError, ModelError, NoPartFound, raised_as
@@ -502,7 +502,15 @@ class Tasks:
         return answer
 
     def places(self) -> Places:
-        """Return the places of a sort. Raises ConfigError if a taught object has no place."""
+        """Return the places of a sort.
+
+        Raises ConfigError if a taught object has no place, or nothing brings parts to places.
+        """
+        if isinstance(self.controller.moves.positioner, CallbackPositioner):
+            raise ConfigError(
+                "a sort needs the callback `places` of a Python host; else identify with `keep`, "
+                "go to the place and release"
+            )
         return Places(self.model.config, self.model.labels)
 
     def _brought(self, places: Places, label: str) -> dict[str, Any]:

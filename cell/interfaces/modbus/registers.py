@@ -159,7 +159,7 @@ COMMANDS = (
     HostCommand("zero", (), (25,),
                 "Start to measure the zero with the empty fingers closed on each other"),
     HostCommand("sort", ("parts", "max_grasps", "force_n"), (24,),
-                "Start to identify parts and release each at its place of `sort.places`"),
+                "Start to sort parts to `sort.places`; not with a callback positioner"),
     HostCommand("release", ("key",), (30,),
                 "Start to release the part, with key 20304 (0x4F50)"),
     HostCommand("clear", ("reboot",), (9,),

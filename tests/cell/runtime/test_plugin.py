@@ -243,6 +243,8 @@ def test_the_host_moves_and_may_veto(make_plugin: Any, taught: Any) -> None:
         return answers[len(asked) - 1]
 
     plugin = make_plugin(mover=mover, model=taught.result.model)
+    with pytest.raises(ConfigError, match="a sort needs the callback `places` of a Python host"):
+        plugin.start(SortGoal())
     assert done(plugin, {"task": "teach", "label": "ball", "grasps": 1}) == 1
     label, placed = plugin.cell.simulated.world.placed
     assert label == "ball"
