@@ -102,8 +102,11 @@ class Calls:
         return for_display(record.fault_number, record.error)
 
     def same(self, job: int) -> int:
-        """Return the result of a verification: 1 same part, 0 another or no part, -1 running."""
-        verification = self._service.plugin.job(job).verification
+        """Return a verification: 1 same part, 0 another or none, -1 running; others are refused."""
+        record = self._service.plugin.job(job)
+        verification = record.verification
+        if verification is None and record.terminal:
+            raise RequestRefused(f"job {job}, {record.task}, has ended without a verification")
         return -1 if verification is None else int(bool(verification.held and verification.same))
 
     def next_pose(self) -> dict[str, float]:

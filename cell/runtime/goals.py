@@ -163,7 +163,9 @@ def checked_goal(goal: Goal | Mapping[str, Any]) -> Goal:
         checked: Goal = TASKS[task].model_validate(fields)  # type: ignore[assignment]
         return checked
     except ValidationError as error:
+        # Short: Modbus shows 64 characters, and the limit must be among them.
         complaints = "; ".join(
-            f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()
+            f"{'.'.join(map(str, item['loc']))}: {item['msg'].replace('Input should', 'must')}"
+            for item in error.errors()
         )
         raise ConfigError(f"goal {task}: {complaints}") from error

@@ -211,13 +211,13 @@ def check_ramp(ramp: ForceRamp, settings: GripperSettings, linkage: Linkage) -> 
     largest_n = max(ramp.start_n, ramp.final_n)
     if largest_n > settings.grasp_force_limit_n:
         raise LimitExceeded(
-            f"the ramp asks for {largest_n} N, the limit is {settings.grasp_force_limit_n:.2f} N, "
-            f"so that its overshoot stays below force_max_n = {settings.force_max_n} N"
+            f"at most {settings.grasp_force_limit_n:.2f} N, so that its overshoot stays below "
+            f"force_max_n = {settings.force_max_n} N; the ramp asks for {largest_n} N"
         )
     if ramp.final_n < settings.contact_force_n:
         raise LimitExceeded(
-            f"the ramp ends at {ramp.final_n} N, below contact_force_n = "
-            f"{settings.contact_force_n} N: it could not hold a part"
+            f"at least {settings.contact_force_n} N, contact_force_n: a ramp to {ramp.final_n} N "
+            "could not hold a part"
         )
     needed_a = max(
         path.loading_current_a(largest_n) for path in end_transmissions(settings, linkage)

@@ -385,6 +385,8 @@ class ModbusInterface(ModbusServer):
                 case 40 | 41:
                     service.pose_reached(self._lease, asked[OBJECT], ok=number == 40)
                 case _ if number in _COMMANDS:
+                    if asked[OPTIONS] >= 2 * REBOOT:
+                        raise RequestRefused(f"options {asked[OPTIONS]}: use bits 0 to 2")
                     name, fields, *_ = _COMMANDS[number]
                     given = {field: _field(service, asked, field) for field in fields}
                     service.request(self._lease, name, **given)

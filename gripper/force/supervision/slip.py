@@ -214,5 +214,5 @@ class LevelSlip:
         if sign is not None:
             raise PartSlipped(
                 f"the held part slips: {sign}; the goals are frozen, nothing grips again by "
-                f"itself: release it, or clear the fault and go on"
+                f"itself: clear the fault, then release it"
             )

@@ -137,11 +137,14 @@ def post(served: Served, body: bytes, **headers: str) -> tuple[int, bytes]:
 
 
 def test_a_verification_has_its_answer_and_a_lease_its_end(connect) -> None:
-    _, cell = connect()
+    served, cell = connect()
     lease = cell.acquire("robot")
     assert cell.alive(lease) == 0
+    served.plugin.pause()
     job = cell.identify(lease, 1, 6.0, True)
-    assert (cell.same(job), cell.same(cell.verify(lease))) == (-1, 1)
+    assert cell.same(job) == -1
+    served.plugin.go_on()
+    assert (cell.same(job), cell.same(cell.verify(lease))) == (-513, 1)
     assert (cell.give_up(lease), cell.alive(lease)) == (0, -514)
 
 

@@ -415,7 +415,10 @@ def test_what_was_forgotten_is_removed_once_it_can_be(make_plugin, taught, tmp_p
         ({"task": "teach", "label": ""}, "goal teach: label"),
         ({"task": "teach", "label": "a", "grasps": 0}, "goal teach: grasps"),
         ({"task": "teach", "label": "a", "grasps": "3"}, "goal teach: grasps"),
-        ({"task": "identify", "max_grasps": 101}, "goal identify: max_grasps"),
+        (
+            {"task": "identify", "max_grasps": 101},
+            "goal identify: max_grasps: must be less than or equal to 100",
+        ),
         ({"task": "identify", "speed": 2}, "goal identify: speed"),
         ({"task": "identify", "present": "\x1b[2J"}, "goal identify: present"),
         ({"task": "identify", "seed": 10**5000}, "goal identify: seed"),
@@ -511,7 +514,7 @@ def test_the_force_of_the_grasps_is_the_hosts(make_plugin, taught) -> None:
     assert progress["shape"].startswith("flat, ")
     with pytest.raises(ConfigError, match="force_n"):
         plugin.start({"task": "identify", "force_n": 0.0})
-    with pytest.raises(JobFailed, match="the ramp asks for 50"):
+    with pytest.raises(JobFailed, match=r"ABORTED: at most .*; the ramp asks for 50"):
         done(plugin, GripGoal(force_n=50.0))
     assert plugin.status().fault is None
 

@@ -192,9 +192,11 @@ def test_the_last_refusal_has_number_and_text_on_each_connection(connect) -> Non
         assert plc.refusal()[1].startswith(cause)
         assert len(plc.refusal()[1]) <= 64
     assert plc.command(GRIP, 0, 60000) == 501
-    assert plc.refusal()[1] == "goal grip: force_n: Input should be less than or equal to 50"
-    assert plc.command(GRIP, 0, 300) == 0
-    assert plc.refusal()[0] == 501  # until the next one
+    assert plc.refusal()[1] == "goal grip: force_n: must be less than or equal to 50"
+    assert plc.command(GRIP, 0, 300, 0, 8) == 513
+    assert plc.refusal()[1] == "options 8: use bits 0 to 2"
+    assert plc.command(GRIP) == 0  # with the force of the config
+    assert plc.refusal()[0] == 513  # until the next one
 
 
 def test_unknown_commands_objects_and_addresses_are_refused(connect) -> None:
