@@ -3,7 +3,7 @@
 import hashlib
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Self
@@ -64,7 +64,12 @@ class TaughtModel:
         self._drift_remarked = self._zero_remarked = False
         if model is not None:
             check_pads(model, self._pads)
-            _check_training_set(model, self.training_set)
+            if not _has_trained(model, self.training_set):
+                own, labels = model.training_set.get("file", "its own"), ", ".join(model.labels)
+                raise ModelError(
+                    f"{model.path} ({labels}) was trained with another training set than these "
+                    f"{len(self.training_set)} grasps: name {own}, or none"
+                )
             self._trained = model.with_caution(config.recognition.caution)
 
     @classmethod
@@ -74,15 +79,19 @@ class TaughtModel:
         path: Path | str,
         *,
         training_set: Path | str | None = None,
+        note: Callable[[str], None] = lambda _text: None,
     ) -> Self:
         """Read a model file, and its training set if there is one.
 
-        ``training_set`` is the data set of the grasps that trained it, by default the file that
-        `save` wrote beside it, if it is still there. Raises ModelError or DatasetError if a file
-        cannot be read, or does not fit the config.
+        ``training_set`` is the data set of the grasps that trained it. By default, and with a note
+        instead of a wrong one, it is the file that `save` wrote beside it, if it is still there.
+        Raises ModelError or DatasetError if a file cannot be read, or does not fit the config.
         """
         model = load_model(path, pad_array(layout_from_config(config.tactile)))
         grasps = _saved_training_set(model) if training_set is None else read_dataset(training_set)
+        if training_set is not None and not _has_trained(model, grasps):
+            note(f"{training_set} did not train {path}: takes the data set beside it, if there")
+            grasps = _saved_training_set(model) or grasps
         return cls(config, model, training_set=grasps)
 
     def check_taught(self) -> Trained:
@@ -135,15 +144,18 @@ class TaughtModel:
             grasps = [g if g.zero is not None else drift.undo(g) for g in grasps]
         self.training_set += tuple(grasps)
 
-    def train(self) -> None:
-        """Train on the whole training set; the followed drift is kept.
+    def train(self, needed: str = "") -> list[str]:
+        """Train on the training set; the followed drift is kept.
 
-        Raises CellError if there are too few grasps; they are kept.
+        Objects with too few grasps are left out, except the ``needed`` one, and returned. Raises
+        CellError if there are too few grasps for any training; they are kept.
         """
         wanted, grid = self.config.recognition, self.drift
+        few = self._too_few(needed)
+        grasps = [grasp for grasp in self.training_set if grasp.label not in few]
         try:
             trained = train(
-                self.training_set,
+                grasps or self.training_set,
                 wanted.recognizer,
                 use_aperture=wanted.use_aperture,
             ).with_caution(wanted.caution)
@@ -153,12 +165,19 @@ class TaughtModel:
             trained = replace(trained, recognizer=trained.recognizer.with_grid(grid))
         self._trained = trained
         self._n_trained += 1
+        return few
+
+    def _too_few(self, needed: str) -> list[str]:
+        """Return the objects with too few grasps for the recognizer, without the needed one."""
+        least = getattr(RECOGNIZERS[self.config.recognition.recognizer], "min_grasps", 1)
+        counts = Counter(grasp.label for grasp in self.training_set)
+        return [label for label, n in counts.items() if n < least and label != needed]
 
     def forget(self, label: str, *, last: bool = False) -> None:
         """Forget an object, or with ``last`` only its newest grasp, and train without it.
 
         Raises RequestRefused if it was not taught, and TrainingSetMissing if its grasps are not
-        available. Raises CellError if too few grasps would remain; nothing is forgotten then.
+        available. Raises CellError if ``last`` leaves too few of it; nothing is forgotten then.
         """
         self.check_extendable()
         before = self.training_set
@@ -166,13 +185,15 @@ class TaughtModel:
         if not taught:
             raise RequestRefused(f"{label!r} is not taught; {', '.join(self.labels) or 'nothing'}")
         gone = set(taught[-1:] if last else taught)
+        needed = label if last and label in self.labels else ""
         self.training_set = tuple(g for index, g in enumerate(before) if index not in gone)
-        if not self.training_set:
+        few = self._too_few(needed)
+        if all(grasp.label in few for grasp in self.training_set):
             self._trained = None
             self._n_trained += 1
             return
         try:
-            self.train()
+            self.train(needed)
         except CellError as error:
             self.training_set = before
             raise CellError(
@@ -184,7 +205,8 @@ class TaughtModel:
         """Return how well a taught object differs from the others; runs two small trainings."""
         wanted = self.config.recognition
         trainer = RECOGNIZERS[wanted.recognizer](use_aperture=wanted.use_aperture)
-        return told_apart(self.training_set, label, trainer)
+        grasps = [grasp for grasp in self.training_set if grasp.label in self.labels]
+        return told_apart(grasps, label, trainer)
 
     # -- taught objects ------------------------------------------------------------------------
 
@@ -340,27 +362,23 @@ def _saved_training_set(model: LoadedModel) -> tuple[Grasp, ...]:
     return read_dataset(path) if Path(name).name == name and os.path.isfile(path) else ()
 
 
-def _check_training_set(model: LoadedModel, grasps: Sequence[Grasp]) -> None:
-    """Raise ModelError for grasps that cannot have trained a model.
+def _has_trained(model: LoadedModel, grasps: Sequence[Grasp]) -> bool:
+    """Return whether these grasps may have trained a model; True without grasps.
 
     Further grasps after those of the model are accepted: the data set is written first, and the
     program may have ended before the model was written.
     """
     if not grasps:
-        return
+        return True
     labels = {grasp.label for grasp in grasps}
     section = model.training_set
     checksum, count = section.get("sha256"), str(section.get("grasps", len(grasps)))
     n_trained = int(count) if count.isdecimal() and len(count) < 10 else len(grasps)
-    if (
-        not labels.issuperset(model.labels)
-        or not grasps[0].pads.same_as(model.pads)
-        or (checksum is not None and str(checksum) != _checksum(grasps[:n_trained]))
-    ):
-        raise ModelError(
-            f"{model.path} ({', '.join(model.labels)}) was trained with another training set than "
-            f"these {len(grasps)} grasps of {', '.join(sorted(labels))}: name its own"
-        )
+    return (
+        labels.issuperset(model.labels)
+        and grasps[0].pads.same_as(model.pads)
+        and (checksum is None or str(checksum) == _checksum(grasps[:n_trained]))
+    )
 
 
 def _checksum(grasps: Sequence[Grasp]) -> str:

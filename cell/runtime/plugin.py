@@ -162,7 +162,7 @@ class TactileCellPlugin:
         from cell.runtime.parts import TaxelNewtons  # noqa: PLC0415
         from cell.simulation import SimulationRequests  # noqa: PLC0415
 
-        self._config = checked
+        self._config, self._note = checked, note
         self._starting = threading.Lock()
         self._health = health_values
         self._levels: dict[str, Any] = {}
@@ -170,7 +170,7 @@ class TactileCellPlugin:
         self.model = (
             TaughtModel(checked)
             if model is None
-            else TaughtModel.load(checked, model, training_set=training_set)
+            else TaughtModel.load(checked, model, training_set=training_set, note=note)
         )
         """What is taught; only the thread of the plugin changes it."""
         _check_save(save, model)
@@ -488,7 +488,7 @@ class TactileCellPlugin:
             If its grasps are not available, or the cell is not IDLE.
         """
         self.model.check_extendable()
-        if label not in self.model.labels:
+        if label not in self.model.objects():
             raise RequestRefused(f"{label!r:.80} is not taught")
         file = self._file
 
@@ -708,13 +708,15 @@ class TactileCellPlugin:
     def train(self, timeout_s: float | None = None) -> None:
         """Train the model on all taught grasps, after jobs with ``TeachGoal.train`` off.
 
-        Raises CellError if there are too few grasps; they are kept. Raises ModelError or
-        DatasetError if the model cannot be written.
+        A note names the objects that are left out, because they have too few grasps. Raises
+        CellError if no object has enough; the grasps are kept. Raises ModelError or DatasetError if
+        the model cannot be written.
         """
-        file = self._file
+        file, note = self._file, self._note
 
         def work(_report: Report) -> None:
-            file.model.train()
+            if few := file.model.train():
+                note(f"left out for too few grasps: {', '.join(few)}; teach or forget them")
             file.due = True
             file.write()
 

@@ -191,8 +191,9 @@ class ModelFile:
         Raises CellError as `TaughtModel.forget`, and if the model cannot be written; the write is
         tried again.
         """
+        before = self.model.labels
         self.model.forget(label, last=last)
-        self.due, self._emptied = True, not self.model.labels
+        self.due, self._emptied = True, before != () and not self.model.labels
         self.write()
 
 
@@ -274,6 +275,8 @@ class Tasks:
         self.controller, self.file, self.model = controller, file, file.model
         self.parts = PartLog(controller, file.model)
         """Makes the parts."""
+        self._names: dict[str | None, str] = {}
+        """Name under which each object was last taught, by its name when it was presented."""
 
     def teach(self, goal: TeachGoal, report: Report) -> int:
         """Grasp an object, train the model, write it, and return the object's number of grasps.
@@ -295,12 +298,13 @@ class Tasks:
             values = self._fill(collection, goal, report)
         finally:
             self.model.add(collection.grasps)
+        self._names[goal.present or goal.label] = goal.label
         if not goal.train:
             return len(collection.records)
-        self.model.train()
+        left_out = self.model.train(needed=goal.label)
         apart = self.model.told_apart(goal.label)
         n_grasps = self.model.objects()[goal.label][0]
-        taught = {"label": goal.label, "n_grasps": n_grasps} | asdict(apart)
+        taught = {"label": goal.label, "n_grasps": n_grasps, "left_out": left_out} | asdict(apart)
         report(values | {"taught": taught})
         try:
             self.file.write()
@@ -414,6 +418,8 @@ class Tasks:
         if goal.force_n is not None:
             sequence = sequence.with_force(goal.force_n)
         controller.moves.present(goal.present)
+        if (name := self._names.get(goal.present)) in model.labels:
+            controller.journal.brought = name
         identification = controller.identify(
             recognizer,
             plan(sequence, goal.max_grasps or sequence.max_grasps, seed=goal.seed),

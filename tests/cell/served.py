@@ -219,6 +219,9 @@ class StubModel(Mock):
     def labels(self) -> tuple[str, ...]:
         return tuple(self.taught)
 
+    def objects(self) -> dict[str, Any]:
+        return self.taught
+
     def forget(self, label: str, *, last: bool) -> None:
         self.revision += 1
         self.taught[label]["n_grasps"] -= 1

@@ -247,6 +247,8 @@ class ForceRampTrainer:
     """Teaches the default recognizer."""
 
     name: ClassVar[str] = "force_ramp"
+    min_grasps: ClassVar[int] = MIN_GRASPS
+    """Least number of grasps of an object."""
     use_aperture: bool = True
 
     @property

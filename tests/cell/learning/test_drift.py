@@ -156,7 +156,8 @@ def test_a_session_says_each_drift_once_and_takes_it_off_what_is_taught_then(mon
     monkeypatch.setattr("cell.learning.taught_model.train", train)
     grasp = plain_grasp("ball")
     controller = grasping(grasp)
-    model, told = TaughtModel(small_config()), list[Any]()
+    config = small_config(recognition__recognizer="level_check")  # one grasp is enough for it
+    model, told = TaughtModel(config), list[Any]()
     cell = tasks.Tasks(controller, tasks.ModelFile(model, None))
     report = Report(1, lambda **now: told.append(now))
     cell.teach(TeachGoal(label="ball", grasps=1), report)

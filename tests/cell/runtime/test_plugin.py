@@ -24,9 +24,11 @@ from cell.errors import (
     DatasetError,
     ModelError,
     NoPartFound,
+    RequestRefused,
 )
 from cell.learning.model import Trained
 from cell.learning.taught_model import TaughtModel
+from cell.learning.teaching_summary import told_apart
 from cell.recording.dataset import read_dataset, write_dataset
 from cell.runtime.goals import GripGoal, IdentifyGoal, SortGoal, TeachGoal, VerifyGoal, checked_goal
 from cell.runtime.tasks import Places, SortAnswer, simulated_feed
@@ -68,6 +70,29 @@ def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(make_plugin: Any)
     assert plugin.labels == ("pin",)
 
 
+def test_a_teaching_that_was_stopped_early_blocks_no_other(make_plugin, monkeypatch) -> None:
+    compared = Mock(wraps=told_apart)
+    monkeypatch.setattr("cell.learning.taught_model.told_apart", compared)
+    notes: list[str] = []
+    plugin = make_plugin(note=notes.append)
+    done(plugin, TeachGoal(label="ball", grasps=3))
+    with pytest.raises(JobFailed, match=r"box 2; each object needs at least 3"):
+        done(plugin, TeachGoal(label="box", grasps=2))
+    job = plugin.start(TeachGoal(label="ball", grasps=1))
+    assert plugin.result(job, LIMIT_S) == 1
+    assert plugin.feedback(job).progress["taught"]["left_out"] == ["box"]
+    assert {grasp.label for grasp in compared.call_args.args[0]} == {"ball"}
+    assert plugin.labels == ("ball",)
+    plugin.train()
+    assert notes == ["left out for too few grasps: box; teach or forget them"]
+    for label, last, left in (("box", True, 5), ("ball", False, 1), ("box", False, 0)):
+        plugin.result(plugin.forget(label, last=last), LIMIT_S)
+        assert len(plugin.model.training_set) == left
+        assert plugin.labels == (("ball",) if left == 5 else ())
+    with pytest.raises(RequestRefused, match="'box' is not taught"):
+        plugin.forget("box")
+
+
 def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -> None:
     examples = blocks("how-to/use-from-a-host-program.md", "python")
     (typed,) = (one for one in examples if "my mug" in one)
@@ -80,8 +105,10 @@ def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -
     plugin.watch_parts(lambda part, _grasps: parts.append(part))
     with pytest.raises(JobFailed, match="no contact"):
         done(plugin, IdentifyGoal(present="nothing"))
-    (turn,) = parts  # one without a part
+    done(plugin, IdentifyGoal(present="cylinder:diameter=8mm,length=20mm"))
+    turn, mug = parts  # the first one without a part
     assert (turn.job, turn.task, turn.label, turn.time_s > 1e9) == (4, "identify", "", True)
+    assert mug.presented == "my mug"
 
 
 def test_a_part_that_nobody_can_bring_is_refused_at_once(plugin: Any) -> None:
@@ -276,6 +303,13 @@ def test_teaching_beside_a_loaded_model_needs_the_grasps_that_trained_it(
     assert len(read_dataset(tmp_path / "parts.model.grasps.npz")) == 13
     again = make_plugin(model=str(tmp_path / "parts.model.npz"))
     assert again.labels == plugin.labels == ("ball", "box", "oval")
+    notes: list[str] = []
+    old = {"model": tmp_path / "parts.model.npz", "training_set": taught.result.dataset}
+    again = make_plugin(**old, note=notes.append)
+    assert (len(again.model.training_set), "did not train" in notes[0]) == (13, True)
+    (tmp_path / "parts.model.grasps.npz").unlink()
+    with pytest.raises(ModelError, match=r": name parts\.model\.grasps\.npz, or none"):
+        make_plugin(**old)
 
 
 # -- the file that each teaching renews --------------------------------------------------------
@@ -377,6 +411,8 @@ def test_a_first_teaching_that_fails_removes_no_file(make_plugin, tmp_path: Path
     else:
         with pytest.raises(JobFailed):
             plugin.result(job, LIMIT_S)
+    if way == "too few grasps":
+        plugin.result(plugin.forget("ball"), LIMIT_S)
     plugin.close()
     assert path.read_bytes() == b"a model"
 

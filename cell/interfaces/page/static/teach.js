@@ -16,7 +16,8 @@ export function setupTeach(view) {
 }
 
 function result(taught) {
-  const { mistaken_share: share } = taught;
+  const { mistaken_share: share, left_out = [] } = taught;
+  if (left_out.length) return t("teach.left_out", { labels: left_out.join(", ") });
   if (share == null) return t("teach.done");
   if (!taught.nearest || share <= TOLD_APART) return t("teach.well");
   return t("teach.near", { label: taught.nearest, share: percent(share) });
