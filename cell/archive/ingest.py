@@ -153,8 +153,5 @@ def _rows(path: Path, cell: str) -> list[Row]:
         return [(of_cell(grasp, cell), {"grasp": i}) for i, grasp in enumerate(read_dataset(path))]
     recording = read_recording(path)
     if not recording.complete:
-        raise CellError(
-            f"it is not complete: {recording.lost_reason}; `tactile-cell recording recover` "
-            f"salvages {len(recording.grasps)} whole grasps"
-        )
+        raise CellError(f"it is {recording.incomplete}")
     return recording_rows(recording, cell)

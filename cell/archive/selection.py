@@ -1,12 +1,11 @@
 """Selection: cells, days and objects of an archive or of other grasps."""
 
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from pathlib import Path
 
-from cell.errors import ConfigError
+from cell.errors import ConfigError, raised_as
 from recognition.grasp import CELL_SOURCE, Grasp
 
 NO_CELL = "unknown"
@@ -42,7 +41,6 @@ class Selection:
 
 
 EVERYTHING = Selection()
-_DAY = re.compile(r"\d{4}-\d\d-\d\d")
 
 
 def parse_selection(
@@ -52,13 +50,15 @@ def parse_selection(
 
     Raises ConfigError for days in another format.
     """
-    first, dots, last = (days or "").partition("..")
-    if any(day and not _DAY.fullmatch(day) for day in (first, last)) or (days == ""):
-        raise ConfigError(f"--days is {days!r}; write 2027-01-15, or 2027-01-01..2027-03-31")
+    first, dots, last = (".." if days is None else days).partition("..")
+    ends = (first, last if dots else first)
+    wanted = f"--days is {days!r}; write 2027-01-15, or 2027-01-01..2027-03-31"
+    with raised_as(ConfigError, ValueError, where=wanted):
+        first, last = (str(date.fromisoformat(day)) if day or not dots else "" for day in ends)
     return Selection(
         cells=frozenset(cells or ()),
         first_day=first,
-        last_day=(last if dots else first) or EVERYTHING.last_day,
+        last_day=last or EVERYTHING.last_day,
         objects=frozenset(objects or ()),
     )
 

@@ -48,7 +48,7 @@ def link_values(statistics: HandStatistics) -> dict[str, dict[str, int]]:
 def loop_line(statistics: LoopStatistics, period_s: float) -> str:
     """Return whether the force loop was on time, as one line for people."""
     if not statistics.cycles:
-        return "Force loop: not started."
+        return "Force loop: no figures."
     late, missed = statistics.late + statistics.overruns, statistics.missed_reads
     if not late and not missed:
         return "Force loop: on time."

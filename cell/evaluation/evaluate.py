@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
-from cell.errors import CellError, raised_as
+from cell.errors import CellError, ConfigError, raised_as
 from cell.evaluation.selected_grasps import LEFT_OUT, left_out_in_turn
 from cell.learning.parallel import Progress, one_blas_thread
 from cell.plugins import RECOGNIZERS
@@ -128,7 +128,7 @@ def _parts(grasps: Sequence[Grasp], split: str, train: Sequence[Grasp] | None) -
     if train is not None:
         parts: list[TrainTest] = [(tuple(train), tuple(grasps))]
     else:
-        with raised_as(CellError, ValueError):
+        with raised_as(ConfigError, ValueError, where="--split"):
             if split in LEFT_OUT:
                 parts = left_out_in_turn(grasps, split)
             else:

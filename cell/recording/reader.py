@@ -245,6 +245,13 @@ class Recording(RecordedMessages):
         return not self.lost_reason
 
     @property
+    def incomplete(self) -> str:
+        """What is lost, and how to save the whole grasps, if there are any, as text."""
+        n_grasps = len(self.grasps)
+        saves = f"; `tactile-cell recording recover` saves its {n_grasps} whole grasps"
+        return f"not complete: {self.lost_reason}{saves if n_grasps else ''}"
+
+    @property
     def identified(self) -> Iterator[tuple[dict[str, Any], list[int]]]:
         """Each result with the indices of its grasps, the newest unlabelled ones before it."""
         begin_s = -np.inf
@@ -290,10 +297,7 @@ def recording_grasps(path: Path | str) -> tuple[Grasp, ...]:
     """
     recording = read_recording(path)
     if not recording.complete:
-        raise RecordingError(
-            f"{path} is not complete: {recording.lost_reason}. "
-            f"`tactile-cell recording recover` saves its {len(recording.grasps)} whole grasps"
-        )
+        raise RecordingError(f"{path} is {recording.incomplete}")
     if not recording.grasps:
         raise RecordingError(f"{path} has no whole grasp ({len(recording.frames)} frames)")
     return recording.grasps

@@ -38,8 +38,10 @@ class Entry(NamedTuple):
 
 def mark(path: Path) -> None:
     """Mark a recording, so that it is never deleted. Raises RecordingError."""
-    if path.suffix != ".mcap" or not path.is_file():
-        raise RecordingError(f"{path} is not a recording; name a file that ends in .mcap")
+    if path.suffix != ".mcap" or not path.is_file() or not path.stat().st_size:
+        raise RecordingError(
+            f"{path} is not a recording, or empty; name a file with data that ends in .mcap"
+        )
     write_text(_mark_of(path), "", error=RecordingError, what="mark")
 
 

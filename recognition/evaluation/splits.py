@@ -79,7 +79,7 @@ def parse_split(text: str) -> float:
     if name != "chronological" or not 0.0 < fraction < 1.0:
         raise ValueError(
             f"split {text!r} is not understood: give chronological:FRACTION, a fraction between 0 "
-            "and 1, for example chronological:0.6"
+            "and 1, for example chronological:0.6, or series, days or cells"
         )
     return fraction
 

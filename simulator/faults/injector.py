@@ -80,8 +80,9 @@ def _entry(name: str, n_servos: int, n_axes: int) -> tuple[FaultEntry, int]:
         )
     for each, number in (("servo", n_servos), ("axis", n_axes)):
         if general.startswith(f"{each}N") and index >= number:
-            plural = "axes" if each == "axis" else "servos"
-            raise SimulatorSettingsError(f"fault {name}: this cell has {number} {plural}")
+            raise SimulatorSettingsError(
+                f"fault {name}: this cell has no {each} {index + 1}, only {number}"
+            )
     return entry, index
 
 

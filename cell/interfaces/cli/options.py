@@ -27,7 +27,8 @@ FOLDER_CONFIG = Path("tactile-cell.yaml")
 """Config file that is used if it is in the current folder and no other file is named."""
 
 
-def _or_of_folder(path: Path | None) -> Path | None:
+def or_of_folder(path: Path | None) -> Path | None:
+    """Return the named config file, else that of this folder; None if there is none."""
     there = FOLDER_CONFIG.exists() or FOLDER_CONFIG.is_symlink()
     return FOLDER_CONFIG if path is None and there else path
 
@@ -39,7 +40,7 @@ Config = Annotated[
         "-c",
         help=f"Config file of the cell [default: {FOLDER_CONFIG} in this folder, else the "
         "built-in simulated cell].",
-        callback=_or_of_folder,
+        callback=or_of_folder,
     ),
 ]
 

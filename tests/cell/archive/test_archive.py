@@ -292,6 +292,8 @@ def test_a_selection_reads_only_its_cells_days_and_objects(archived) -> None:
     assert len(list(Archive(archived).grasps(Selection(first_day="2027-01-07")))) == 0
     with pytest.raises(ConfigError, match=r"2027-01-01\.\."):
         parse_selection([], "January", [])
+    with pytest.raises(ConfigError, match="--days is ''"):
+        parse_selection([], "", [])
 
 
 def test_some_grasps_of_each_object_are_the_same_each_time(archived) -> None:

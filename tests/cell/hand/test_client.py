@@ -461,7 +461,7 @@ def test_one_line_says_whether_the_loop_was_on_time() -> None:
         "of the servos."
     )
     assert loop_line(LoopStatistics(cycles=9), 0.005) == "Force loop: on time."
-    assert loop_line(LoopStatistics(), 0.005) == "Force loop: not started."
+    assert loop_line(LoopStatistics(), 0.005) == "Force loop: no figures."
     values = loop_values(statistics, undelivered=2)
     assert (values["lateness_p999_s"], values["undelivered"]) == (9e-4, 2)
 

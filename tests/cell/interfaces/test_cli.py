@@ -288,6 +288,7 @@ def test_release_names_the_cell_and_has_to_be_meant(config, tmp_path, monkeypatc
     Path("tactile-cell.yaml").write_text(config.read_text())
     said = fail("hand", "release", "--confirm", code=2)
     assert "`tactile-cell hand release --config tactile-cell.yaml --confirm`" in said
+    assert "`tactile-cell hand clear --config tactile-cell.yaml`" in fail("hand", "clear", code=2)
     said = fail("hand", "release", "-c", config, code=2)
     assert f"`tactile-cell hand release --config {config} --confirm`" in said
     assert call("hand", "release", "-c", config, "--confirm") == (
@@ -533,6 +534,11 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
         (2, "recording recover x.mcap -o y.npz", "the name of a recording ends in .mcap"),
         (2, "model train x.npz -o m.npz --recognizer magic", "no recognizer 'magic' is installed"),
         (2, "model evaluate {dataset} --fuse 1,x", "--fuse"),
+        (2, "model evaluate {dataset} --split foo", "chronological:0.6, or series, days or cells"),
+        (2, "model evaluate {dataset} --split days", "of the 1 days, cells or series: none can be"),
+        (2, "model evaluate {dataset} --days 2026-99-01", "month must be in 1..12"),
+        (1, "recording plot 99 {dataset} -o {made}", "no grasp 99: 10 are selected"),
+        (1, "service install -m {other}", "makes a model of it"),
         (2, "serve --listen 0.0.0.0 --modbus 0", "serve.allow is empty"),
         (2, "serve -c {config} --out served", "no interface is open: set serve.http_port"),
         (2, "config check {undrawn}", "as in diameter=6mm"),

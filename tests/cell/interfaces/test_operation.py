@@ -79,6 +79,7 @@ def test_what_the_page_types_prints_writes_and_packs(tmp_path, monkeypatch) -> N
     image = tmp_path / "image"
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cell.yaml").write_text("gripper: {port: simulated}")
+    monkeypatch.setattr("cell.interfaces.cli.commands.service.load_model", lambda *_: None)
     printed = call(*printing, "--root", image)
     assert not image.exists()
     for name in WRITTEN:

@@ -60,10 +60,10 @@ def release(
     folder has one. It selects the cell whose part falls.
     """
     if config is None or not confirm:
-        example = options.FOLDER_CONFIG if options.FOLDER_CONFIG.exists() else Path("FILE")
+        example = options.or_of_folder(config) or Path("FILE")
         raise ConfigError(
             "the part may fall: name the config file of the cell and confirm; nothing was moved. "
-            f"The whole command: `{release_command(config or example)}`"
+            f"The whole command: `{release_command(example)}`"
         )
     checked = cell_config(config)
     with cell_of_earlier_run(checked) as cell:
@@ -92,7 +92,8 @@ def clear(
     """
     if config is None:
         raise ConfigError(
-            "the config file of the cell is missing: `tactile-cell hand clear --config FILE`"
+            "name the config file of the cell. The whole command: `tactile-cell hand clear "
+            f"--config {options.or_of_folder(config) or 'FILE'}`"
         )
     checked = cell_config(config)
     try:

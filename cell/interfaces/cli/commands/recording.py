@@ -1,7 +1,6 @@
 """`recording`: lists, marks, reports on, plots and recovers recordings."""
 
 from datetime import datetime
-from itertools import islice
 from pathlib import Path
 from typing import Annotated
 
@@ -92,9 +91,12 @@ def plot(
         every = Archive(source).grasps(selection)
     else:
         every = (one for one in read_grasps(source) if selection.fits(one))
-    grasp = next(islice(every, number, None), None)
-    if grasp is None:
-        raise CellError(f"{source} has no grasp {number} among the selected ones")
+    n_grasps = 0
+    for n_grasps, grasp in enumerate(every, start=1):  # noqa: B007
+        if n_grasps > number:
+            break
+    else:
+        raise CellError(f"{source} has no grasp {number}: {n_grasps} are selected, from number 0")
     title = f"{grasp.label or 'no label'}, {cell_of(grasp)}, {day_of(grasp.start_ms)}"
     write_picture(output, grasp_figure(grasp, title))
     print_line(f"{title}: {output}")

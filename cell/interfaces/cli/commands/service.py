@@ -27,8 +27,9 @@ from cell.errors import CellError, ConfigError
 from cell.files import json_bytes, write_atomically, write_text
 from cell.interfaces.access import read_secret, view_token
 from cell.interfaces.cli import options
-from cell.interfaces.cli.session import cell_config
+from cell.interfaces.cli.session import cell_config, pads_of
 from cell.interfaces.cli.terminal import ask, print_line, print_note
+from cell.learning.model import load_model
 
 NAME = "tactile-cell"
 """Name of the service, its user and its folder in /var/lib."""
@@ -323,8 +324,11 @@ def install(
     The service is `tactile-cell serve` with this config and model. It starts with the machine and
     restarts when it was killed; a held part stays held.
     """
-    served_with = () if model is None else ("--model", str(model.resolve()))
     checked = cell_config(config)
+    served_with: tuple[str, ...] = ()
+    if model is not None:
+        load_model(model, pads_of(checked))
+        served_with = ("--model", str(model.resolve()))
     files = system_files(checked, config, served_with)
     changed = False
     if config is not None and not checked.serve.ports:
