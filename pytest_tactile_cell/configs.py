@@ -7,6 +7,7 @@ from typing import Any
 from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.config.section import SIMULATED
+from cell.errors import ConfigError
 
 
 def simulated_config(
@@ -34,7 +35,7 @@ def simulated_config(
     Raises
     ------
     ConfigError
-        If the result is not valid.
+        If the result is not valid, or a change is of a value that is replaced.
     """
     if not isinstance(config, CellConfig):
         config = load_config(Path(config))
@@ -52,5 +53,10 @@ def simulated_config(
         ]
     if seed is not None:
         ours["seed"] = seed
+    for path in changes or ():
+        if any(f"{path}.".startswith(f"{key}.") for key in ours):
+            raise ConfigError(
+                f"changes cannot set {path}: the simulated ports, objects= or seed= have set it"
+            )
     zeroed = {"self_zero": "on_demand"} if config.self_zero == "daily" else {}
     return changed_config(config, {**zeroed, **(changes or {}), **ours})

@@ -19,7 +19,7 @@ from ruamel.yaml.error import MarkedYAMLError, StreamMark, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
 
 from cell.config.model import CellConfig
-from cell.config.section import SIMULATED, Installed, Section, sections_in
+from cell.config.section import SIMULATED, Installed, sections_in
 from cell.errors import ConfigError
 from cell.files import CONFIG, read_plain
 
@@ -45,7 +45,10 @@ def changed_config(config: _Section, changes: Mapping[str, Any]) -> _Section:
         for name in way:
             owner = owner.get(name) if isinstance(owner, dict) else None
         if not isinstance(owner, dict) or last not in owner:
-            raise ConfigError(f"the config has no value {path!r}")
+            hint = _meant(path.split("."), type(config))
+            raise ConfigError(
+                f"the config has no value {path!r}; {hint}`tactile-cell config init` writes all"
+            )
         owner[last] = deepcopy(value)
     try:
         return type(config).model_validate_json(json.dumps(values))
@@ -270,7 +273,7 @@ def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
     for item in items:
         if item["loc"] in inside:  # a list whose entries are refused counts as empty, too
             continue
-        place, key = _locate(root, item["loc"])
+        place, key = _locate(root, _cause(root, item))
         if item["type"] == "extra_forbidden":
             hint = _meant(item["loc"])
             item["msg"] = f"unknown key; {hint}`tactile-cell config init` writes all"
@@ -285,18 +288,32 @@ def _refusal(item: ErrorDetails) -> str:
     return message if isinstance(value, dict | list) else f"{message} (found: {value!r:.200})"
 
 
-def _meant(loc: tuple[int | str, ...]) -> str:
+def _cause(root: Node | None, item: ErrorDetails) -> tuple[int | str, ...]:
+    """Return the location of an error. A check of a section names several keys.
+
+    The first of them that the file has is the location. Names are relative to the section, the
+    config or the gripper.
+    """
+    several = isinstance(item["input"], dict)
+    for name in re.findall(r"[a-z]+(?:[._][a-z]+)+", item["msg"]) if several else ():
+        for section in (item["loc"], (), ("gripper",)):
+            path = (*section, *name.split("."))
+            if _locate(root, path)[0] != _locate(root, path[:-1])[0]:
+                return path
+    return item["loc"]
+
+
+def _meant(loc: Sequence[int | str], config: type[BaseModel] = CellConfig) -> str:
     """Return a hint for an unknown key: a similar key of its section, or all keys of it."""
     *way, unknown = loc
-    names = list(_section_at(way).model_fields)
+    names = list(_section_at(way, config).model_fields)
     near = difflib.get_close_matches(str(unknown), names, n=1)
     return f"did you mean {near[0]}? " if near else f"keys here are {', '.join(names)}; "
 
 
-def _section_at(way: Sequence[int | str]) -> type[Section]:
+def _section_at(way: Sequence[int | str], section: type[BaseModel]) -> type[BaseModel]:
     """Return the section at a pydantic location; a step into a union is the name of the kind."""
-    section: type[Section] = CellConfig
-    inner = [section]
+    inner: Sequence[type[BaseModel]] = [section]
     for step in way:
         if step in section.model_fields:
             inner = sections_in(section.model_fields[str(step)].annotation)

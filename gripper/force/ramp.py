@@ -212,7 +212,8 @@ def check_ramp(ramp: ForceRamp, settings: GripperSettings, linkage: Linkage) -> 
     if largest_n > settings.grasp_force_limit_n:
         raise LimitExceeded(
             f"at most {settings.grasp_force_limit_n:.2f} N, so that its overshoot stays below "
-            f"force_max_n = {settings.force_max_n} N; the ramp asks for {largest_n} N"
+            f"force_max_n = {settings.force_max_n} N; the ramp asks for {largest_n} N: lower it, "
+            "or raise force_max_n"
         )
     if ramp.final_n < settings.contact_force_n:
         raise LimitExceeded(

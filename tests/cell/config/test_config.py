@@ -131,8 +131,17 @@ CAN = PORT + "tactile: {interface: socketcan, channel: can0}\n"
         ),
         ("gripper:\n  force_max_n: .nan\n", ["cell.yaml:2", "gripper.force_max_n", "finite"]),
         ("gripper:\n  servos:\n    - id: 1\n    - id: 300\n", ["yaml:4", "servos.1.id", "252"]),
-        ("gripper: {approach_speed_mm_s: 4, contact_timeout_s: 1}\n", ["4.7 s", "timeout_s 5 or"]),
-        ("gripper: {baud_rate: 115200}\n", ["loop_rate_hz is 200", "115200 allows", "most 64 Hz"]),
+        (
+            "gripper: {approach_speed_mm_s: 4, contact_timeout_s: 1}\n",
+            ["1:35: ", "4.7 s", "5 or"],
+        ),
+        ("gripper: {baud_rate: 115200}\n", ["1:11: gripper.b", "115200 allows", "most 64 Hz"]),
+        (
+            "sequence:\n  max_grasps: 3\n  force_n: [1, 14]\n",
+            ["3:3: sequence.force_n: ", "at most 13.64 N", "asks for 14.0 N: lower it, or raise"],
+        ),
+        ("sequence: {carry_force_n: 14}\n", ["1:12: sequence.carry_force_n: ", "14.0 N: lower it"]),
+        ("seed: 1\ngripper:\n  aperture_min_mm: 35\n", ["3:3: gripper.aperture_min_mm: "]),
         ("tactile: {bitrate: 250000}\n", ["up to 171%", "period_ms 43 or", "period_ms 10 or more"]),
         (
             "sequence:\n  x_mm: [3, 1]\n",
@@ -370,10 +379,10 @@ REFUSED = {
     "gripper.aperture_min_mm=400": "aperture_min_mm 400 must be below aperture_open_mm 16",
     "gripper.contact_force_n=5": "gripper.contact_force_n = 5 N to hold a part",
     "gripper.contact_timeout_s=1": "contact_timeout_s is 1, but from aperture_open_mm = 16",
-    "gripper.force_max_n=1": "ramp asks for 8.0 N, the limit is 0.70 N",
+    "gripper.force_max_n=1": "at most 0.70 N, .* the ramp asks for 8.0 N",
     "gripper.current_max_a=0.05": f"8.0 N take {_NEEDED_A:.3f} A, current_max_a is 0.05 A",
     "sequence.carry_force_n=0.1": "carry_force_n is 0.1 N; it must be at least",
-    "sequence.carry_force_n=50": "ramp asks for 50.0 N, the limit is 13.64 N",
+    "sequence.carry_force_n=50": "at most 13.64 N, .* the ramp asks for 50.0 N",
 }
 """Ends that the defaults of other keys forbid, and what is said of them."""
 
