@@ -1,5 +1,6 @@
 """The simulated cells of a test, and the injected faults."""
 
+import warnings
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any, Protocol
@@ -13,6 +14,10 @@ class FaultHandle(Protocol):
     @property
     def began_s(self) -> float | None:
         """Time of the cell in s at which the fault began; None before."""
+
+    @property
+    def waiting(self) -> bool:
+        """Whether it waits for its begin."""
 
     def clear(self) -> None:
         """End the fault; a second call has no effect."""
@@ -28,7 +33,8 @@ class FaultTarget(Protocol):
 class FaultRegistry(ExitStack):
     """Keeps the simulated cells of a test, and finds the cell for a fault.
 
-    Its end clears the faults and ends the cells, the last one first.
+    Its end clears the faults and ends the cells, the last one first. A fault that never began is a
+    warning: the test has shown nothing about it.
     """
 
     def __init__(self) -> None:
@@ -82,5 +88,15 @@ class FaultRegistry(ExitStack):
         elif into not in self._targets:
             pytest.fail(f"fault {text!r}: {into!r} is not a simulated cell of this test")
         fault = into.inject(text)
-        self.callback(fault.clear)
+        self.callback(_end, fault, text)
         return fault
+
+
+def _end(fault: FaultHandle, text: str) -> None:
+    waiting = fault.waiting
+    fault.clear()
+    if waiting:
+        warnings.warn(
+            pytest.PytestWarning(f"fault {text!r} never began in this test: check its start"),
+            stacklevel=2,
+        )

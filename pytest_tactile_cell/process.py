@@ -71,16 +71,26 @@ class RequestedFault:
 
         The clock of a process is the monotonic clock of this machine.
         """
-        if self._cell is None or not self._cell.running:
-            return None
-        began_s: float | None = self._cell.ask(state=True)["faults"].get(self.text)
-        return began_s
+        return self._faults().get(self.text)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether it waits for its begin."""
+        return self._faults().get(self.text, 0.0) is None
 
     def clear(self) -> None:
         """End the fault; the end of the cell ends it too."""
+        there = self.text in self._faults()
         cell, self._cell = self._cell, None
-        if cell is not None and cell.running:
+        if cell is not None and there:
             cell.ask(clear=self.text)
+
+    def _faults(self) -> dict[str, float | None]:
+        """Return the begin of each fault in s by its text; without those that are over."""
+        if self._cell is None or not self._cell.running:
+            return {}
+        faults: dict[str, float | None] = self._cell.ask(state=True)["faults"]
+        return faults
 
 
 class CellProcess(AskedCell):

@@ -147,7 +147,9 @@ def test_faults_end_with_the_test_whatever_the_order_of_fixtures(pytester) -> No
             assert len(faults) == 3 and all(fault.over for fault in faults)
         """
     )
-    run(pytester).assert_outcomes(passed=2, failed=1)
+    result = run(pytester, "-W", "error")
+    result.assert_outcomes(passed=2, failed=1, errors=1)
+    result.stdout.fnmatch_lines(["*PytestWarning: fault 'servo1.off@5s' never began in this test*"])
 
 
 @pytest.mark.slow
@@ -309,6 +311,7 @@ def test_the_runtime_of_a_host_program_shows_the_true_force_and_takes_faults(
     assert cell.run({"task": "grip", "force_n": 3.0, "present": "pin"}).held
     assert (len(moved), cell.grip_n() > 2.0) == (1, True)
     cell.release()
+    inject_fault("can.lose_next=1", into=cell).clear()  # it is over at once
 
     lost = inject_fault("can.loss=1@contact+0.1s", into=cell)
     assert lost.began_s is None
