@@ -117,7 +117,7 @@ def test_a_part_is_squeezed_again_in_the_same_grip(started) -> None:
 
 def test_a_ramp_beyond_a_limit_is_refused_before_anything_moves(make_started) -> None:
     cell = make_started(force_max_n=11.0, current_max_a=0.35)
-    with pytest.raises(LimitExceeded, match=r"12.* the limit is 10"):
+    with pytest.raises(LimitExceeded, match=r"at most 10.* for 12"):
         cell.gripper.grasp(ForceRamp.linear(12.0, 5.0))
     with pytest.raises(LimitExceeded, match="current_max_a"):
         cell.gripper.grasp(ForceRamp.linear(9.5, 5.0))
@@ -133,7 +133,7 @@ def test_the_largest_ramp_is_the_last_one_that_is_allowed(make_cell, current_max
     cell = make_cell(current_max_a=current_max_a)
     most_n = largest_ramp_n(cell.settings, cell.linkage)
     cell.gripper.check_ramp(ForceRamp.linear(most_n, 5.0))
-    with pytest.raises(LimitExceeded, match=r"the limit is 45\.45 N|current_max_a is 0\.5 A"):
+    with pytest.raises(LimitExceeded, match=r"at most 45\.45 N|current_max_a is 0\.5 A"):
         cell.gripper.check_ramp(ForceRamp.linear(1.001 * most_n, 5.0))
 
 

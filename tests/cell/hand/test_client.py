@@ -262,7 +262,7 @@ def test_the_end_of_a_ramp_names_the_grasp_that_it_is_meant_for(loop, hand) -> N
 
 def test_a_ramp_beyond_a_limit_is_refused_without_asking_the_process(hand) -> None:
     hand.check_ramp(RAMP)
-    with pytest.raises(LimitExceeded, match="the limit is 13"):
+    with pytest.raises(LimitExceeded, match="at most 13"):
         hand.check_ramp(ForceRamp.linear(14.9, 5.0))
 
 
