@@ -55,8 +55,6 @@ def simulated_config(
         ours["seed"] = seed
     for path in changes or ():
         if any(f"{path}.".startswith(f"{key}.") for key in ours):
-            raise ConfigError(
-                f"changes cannot set {path}: the simulated ports, objects= or seed= have set it"
-            )
+            raise ConfigError(f"changes cannot set {path}: the fixture has set it")
     zeroed = {"self_zero": "on_demand"} if config.self_zero == "daily" else {}
     return changed_config(config, {**zeroed, **(changes or {}), **ours})

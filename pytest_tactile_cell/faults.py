@@ -15,10 +15,6 @@ class FaultHandle(Protocol):
     def began_s(self) -> float | None:
         """Time of the cell in s at which the fault began; None before."""
 
-    @property
-    def waiting(self) -> bool:
-        """Whether it waits for its begin."""
-
     def clear(self) -> None:
         """End the fault; a second call has no effect."""
 
@@ -88,15 +84,12 @@ class FaultRegistry(ExitStack):
         elif into not in self._targets:
             pytest.fail(f"fault {text!r}: {into!r} is not a simulated cell of this test")
         fault = into.inject(text)
-        self.callback(_end, fault, text)
+        self.callback(fault.clear)
+        # The last callback is called first.
+        self.callback(_judge, fault, text)
         return fault
 
 
-def _end(fault: FaultHandle, text: str) -> None:
-    waiting = fault.waiting
-    fault.clear()
-    if waiting:
-        warnings.warn(
-            pytest.PytestWarning(f"fault {text!r} never began in this test: check its start"),
-            stacklevel=2,
-        )
+def _judge(fault: FaultHandle, text: str) -> None:
+    if fault.began_s is None:
+        warnings.warn(pytest.PytestWarning(f"fault {text!r} never began"), stacklevel=2)

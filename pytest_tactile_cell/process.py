@@ -10,6 +10,7 @@ import tempfile
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
@@ -67,30 +68,20 @@ class RequestedFault:
 
     @property
     def began_s(self) -> float | None:
-        """Time in s at which it began, by the cell's clock; None before and after.
+        """Time in s at which it began, by the cell's clock; None before, NaN after its end.
 
         The clock of a process is the monotonic clock of this machine.
         """
-        return self._faults().get(self.text)
-
-    @property
-    def waiting(self) -> bool:
-        """Whether it waits for its begin."""
-        return self._faults().get(self.text, 0.0) is None
+        if self._cell is None or not self._cell.running:
+            return nan
+        began_s: float | None = self._cell.ask(state=True)["faults"].get(self.text, nan)
+        return began_s
 
     def clear(self) -> None:
         """End the fault; the end of the cell ends it too."""
-        there = self.text in self._faults()
-        cell, self._cell = self._cell, None
-        if cell is not None and there:
+        began_s, cell, self._cell = self.began_s, self._cell, None
+        if cell is not None and (began_s is None or isfinite(began_s)):
             cell.ask(clear=self.text)
-
-    def _faults(self) -> dict[str, float | None]:
-        """Return the begin of each fault in s by its text; without those that are over."""
-        if self._cell is None or not self._cell.running:
-            return {}
-        faults: dict[str, float | None] = self._cell.ask(state=True)["faults"]
-        return faults
 
 
 class CellProcess(AskedCell):

@@ -40,8 +40,6 @@ _AT_START = "the cell sets it at its start"
 """Advice for a register that a start corrects."""
 _TORQUE = "servo torque"
 """Name of the check of the servos' torque."""
-_SENSOR = "control unit"
-"""Name of the check of the control unit, or of another sensor."""
 _PRESSED_SIGMAS = 6.0
 """Distance of a taxel's mean from the rest, in spreads of the counts, that shows pressure."""
 
@@ -166,7 +164,7 @@ def _devices(config: CellConfig, named: str, earlier: Commissioning) -> Iterator
     try:
         yield from _guarded(_TORQUE, lambda: _torque(cell, named))
         yield from _guarded("servos", lambda: _servos(cell, named, earlier))
-        yield from _guarded(_SENSOR, lambda: _control_unit(cell, config, named, earlier))
+        yield from _guarded("control unit", lambda: _control_unit(cell, config, named, earlier))
         yield from _axes(cell)
     finally:
         cell.close()
@@ -191,7 +189,7 @@ def _guarded(what: str, check: Callable[[], list[Finding]]) -> Iterator[Finding]
         yield check_result(what, str(error), _AT_START)
     except (GripperError, TactileError) as error:
         keys = "gripper.servos[].id and gripper.baud_rate"
-        if what == _SENSOR:
+        if what not in (_TORQUE, "servos"):
             keys = "tactile.node_id, tactile.bitrate and tactile.sensor"
         advice = f"check power, cable, {keys}"
         if what == _TORQUE:

@@ -46,9 +46,7 @@ def changed_config(config: _Section, changes: Mapping[str, Any]) -> _Section:
             owner = owner.get(name) if isinstance(owner, dict) else None
         if not isinstance(owner, dict) or last not in owner:
             hint = _meant(path.split("."), type(config))
-            raise ConfigError(
-                f"the config has no value {path!r}; {hint}`tactile-cell config init` writes all"
-            )
+            raise ConfigError(f"the config has no value {path!r}; {hint}")
         owner[last] = deepcopy(value)
     try:
         return type(config).model_validate_json(json.dumps(values))
@@ -275,8 +273,7 @@ def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
             continue
         place, key = _locate(root, _cause(root, item))
         if item["type"] == "extra_forbidden":
-            hint = _meant(item["loc"])
-            item["msg"] = f"unknown key; {hint}`tactile-cell config init` writes all"
+            item["msg"] = f"unknown key; {_meant(item['loc'])}"
         lines.append(f"{source}:{place}: {key or 'config'}: {_refusal(item)}")
     more = [f"{source}: {len(lines) - _MAX_COMPLAINTS} more errors"]
     return "\n".join(lines[:_MAX_COMPLAINTS] + more * (len(lines) > _MAX_COMPLAINTS))
@@ -308,7 +305,8 @@ def _meant(loc: Sequence[int | str], config: type[BaseModel] = CellConfig) -> st
     *way, unknown = loc
     names = list(_section_at(way, config).model_fields)
     near = difflib.get_close_matches(str(unknown), names, n=1)
-    return f"did you mean {near[0]}? " if near else f"keys here are {', '.join(names)}; "
+    hint = f"did you mean {near[0]}?" if near else f"keys here are {', '.join(names)};"
+    return f"{hint} `tactile-cell config init` writes all"
 
 
 def _section_at(way: Sequence[int | str], section: type[BaseModel]) -> type[BaseModel]:

@@ -39,9 +39,7 @@ class Entry(NamedTuple):
 def mark(path: Path) -> None:
     """Mark a recording, so that it is never deleted. Raises RecordingError."""
     if path.suffix != ".mcap" or not path.is_file() or not path.stat().st_size:
-        raise RecordingError(
-            f"{path} is not a recording, or empty; name a file with data that ends in .mcap"
-        )
+        raise RecordingError(f"{path} is not a recording, or empty; name an .mcap file with data")
     write_text(_mark_of(path), "", error=RecordingError, what="mark")
 
 

@@ -64,11 +64,6 @@ class Fault:
     """Time in s up to which `FaultEntry.act` has carried it out."""
 
     @property
-    def waiting(self) -> bool:
-        """Whether it waits for its begin."""
-        return self.began_s is None and not self.over
-
-    @property
     def owner(self) -> Any:
         """The object with its knob. Raises SimulatorSettingsError in a cell that has none."""
         return _OWNERS[self.entry.name.partition(".")[0]](self)

@@ -1,5 +1,6 @@
 """The plugin as pytest sees it: options, docs, failures, and what it costs others."""
 
+import math
 import re
 import subprocess
 import sys
@@ -149,7 +150,7 @@ def test_faults_end_with_the_test_whatever_the_order_of_fixtures(pytester) -> No
     )
     result = run(pytester, "-W", "error")
     result.assert_outcomes(passed=2, failed=1, errors=1)
-    result.stdout.fnmatch_lines(["*PytestWarning: fault 'servo1.off@5s' never began in this test*"])
+    result.stdout.fnmatch_lines(["*PytestWarning: fault 'servo1.off@5s' never began*"])
 
 
 @pytest.mark.slow
@@ -226,7 +227,7 @@ def test_a_config_of_a_real_cell_is_simulated_with_its_own_ids_and_limits(
         ),
         (
             {"changes": {"gripper.port": "/dev/null"}},
-            "cannot set gripper.port: the sim",
+            "cannot set gripper.port: the fix",
         ),
         ({"changes": {"positioner.kind": "axes"}}, "cannot set positioner.kind"),
         ({"changes": {"tactile.tare_frames.n": 25}}, "no value 'tactile.tare_frames.n'"),
@@ -317,9 +318,9 @@ def test_the_runtime_of_a_host_program_shows_the_true_force_and_takes_faults(
     assert lost.began_s is None
     with pytest.raises(FrameTimeout):
         cell.run({"task": "grip", "force_n": 3.0})
-    assert lost.began_s is not None
+    assert math.isfinite(lost.began_s)
     cell.close()
-    assert lost.began_s is None
+    assert math.isnan(lost.began_s)
 
 
 # -- Cells in real time: the process that the plugin starts, and what becomes of it ----------------
@@ -364,7 +365,7 @@ def test_a_process_serves_both_ports_and_takes_faults(cell_process, inject_fault
 def test_processes_end_with_the_test_and_a_dead_one_shows_its_log(pytester) -> None:
     pytester.makepyfile(
         """
-        import os, pathlib, signal, time
+        import math, os, pathlib, signal, time
         import pytest
         from pytest_tactile_cell.process import CellProcessError
 
@@ -381,7 +382,7 @@ def test_processes_end_with_the_test_and_a_dead_one_shows_its_log(pytester) -> N
             assert abs(lost.began_s - before_s) < 10.0
             assert inject_fault("can.duplicate@100s").began_s is None
             cell.kill()
-            assert lost.began_s is None
+            assert math.isnan(lost.began_s)
             with pytest.raises(CellProcessError, match="ended with exit code -9"):
                 cell.ask(state=True)
 

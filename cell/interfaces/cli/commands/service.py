@@ -324,11 +324,10 @@ def install(
     The service is `tactile-cell serve` with this config and model. It starts with the machine and
     restarts when it was killed; a held part stays held.
     """
+    served_with = () if model is None else ("--model", str(model.resolve()))
     checked = cell_config(config)
-    served_with: tuple[str, ...] = ()
     if model is not None:
         load_model(model, pads_of(checked))
-        served_with = ("--model", str(model.resolve()))
     files = system_files(checked, config, served_with)
     changed = False
     if config is not None and not checked.serve.ports:
