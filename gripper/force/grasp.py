@@ -380,7 +380,7 @@ class ContactStep(GripStep):
     def step(self, moment: Moment) -> Action:
         """Return the action of one period. Raises PartSlipped when a held part slips."""
         self._reached.stiffness.push(moment)
-        if self._rest.goes_on(moment):
+        if self.control is None and self._rest.goes_on(moment):
             return Action()
         control = self._advance(moment)
         self.lost = control.watch.lost(moment)

@@ -20,7 +20,7 @@ from gripper.values.state import Cycle, GripperPhase, Observer, ServoFeedback
 
 _HEALTH_EVERY = 4
 """Periods between two health checks: each takes a transaction of the period. [chosen]"""
-_LONGEST_STEP = 2.0
+LONGEST_STEP = 2.0
 """Longest step of control in periods: after a late period nothing catches up. [chosen]"""
 _LOWERING_S, _LONGEST_LOWERING = 0.1, 4.0
 """Time in s in which the currents of too much force fall to 0. The force has followed after this
@@ -217,7 +217,7 @@ class LoopRunner:
             self._check_force(now_s, running.fresh_s, sample)
         if state is None:
             return None
-        dt_s = min(max(state.t_s - running.last_s, 0.0), _LONGEST_STEP * self._settings.period_s)
+        dt_s = min(max(state.t_s - running.last_s, 0.0), LONGEST_STEP * self._settings.period_s)
         running.last_s = state.t_s
         try:
             action = running.step(Moment(now_s=state.t_s, dt_s=dt_s, state=state, sample=sample))

@@ -9,7 +9,7 @@ from gripper.errors import ForceAboveCap, ForceSensorStale
 from gripper.force.ramp import ForceRamp
 from gripper.force.timing import Histogram, LoopTimer
 from gripper.values.outcome import GraspResult
-from gripper.values.state import Cycle
+from gripper.values.state import Cycle, GripperPhase
 from simulator.servo.faults import Chatter
 
 RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)
@@ -149,3 +149,28 @@ def test_transactions_and_the_age_of_the_force_are_counted(cell) -> None:
     assert 0.0 < statistics.sensor_age.max_s < 0.06
     assert statistics.lateness.n == statistics.cycles
     assert statistics.lateness.max_s < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("stiffness_n_m", "at_s"), [(1000.0, 0.08), (2000.0, 0.05), (5000.0, 0.08)]
+)
+def test_the_force_is_known_again_after_a_stall_on_a_ramp(
+    make_started, stiffness_n_m, at_s
+) -> None:
+    """A push that goes on for 50 ms moves the part by much more than in one period."""
+    cell = make_started(stiffness_n_m=stiffness_n_m, noise_n=0.02, rate_hz=200.0)
+    times_s: list[float] = []
+    errors_n: list[float] = []
+
+    def stall(cycle: Cycle) -> None:
+        if cycle.phase is not GripperPhase.RAMPING:
+            return
+        times_s.append(cycle.t_s)
+        if max(np.diff(times_s), default=0.0) > 0.05:
+            errors_n.append(abs(cell.gripper._grasping.control.grip.force_n - cell.force_n))
+        elif cycle.t_s - times_s[0] >= at_s:
+            cell.clock.sleep(0.05)
+
+    outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=20.0, hold_s=0.3), stall)
+    assert outcome.result is GraspResult.FORCE_REACHED
+    assert max(errors_n) < 1.5
