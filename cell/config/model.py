@@ -191,6 +191,8 @@ class CellConfig(Section):
             where = f"gripper.{name} is beyond gripper.linkage, its lengths and offset_mm"
             with raised_as(ValueError, LimitExceeded, where=where):
                 self.linkage.angles_rad(1e-3 * getattr(self.gripper, name))
+        with raised_as(ValueError, LimitExceeded, where="gripper"):
+            check_approach(self.gripper_settings, self.linkage)
         key = "force_n" if most_n in self.sequence.forces_n else "carry_force_n"
         with raised_as(ValueError, LimitExceeded, where=f"gripper and sequence.{key}"):
             ramp = ramp_from_config(self.sequence.ramp, most_n)

@@ -6,6 +6,7 @@ until the watchdog must have tripped, and the positions are compared.
 """
 
 from collections.abc import Sequence
+from math import inf
 
 from gripper.clock import Clock
 from gripper.errors import FingerBlocked, LimitExceeded, WatchdogUnproven
@@ -55,9 +56,12 @@ def prove_watchdog(servos: Servos, clock: Clock) -> None:
     settings, linkage, begin = servos.settings, servos.linkage, servos.read()
     speed_rad_s, goals_rad = _motion(settings, linkage, begin.angles_rad)
     paths = transmissions(settings, linkage, begin.angles_rad)
-    # A servo that was never measured may have several times the friction of its model.
+    # Friction at rest may be several times that of the model, or that measured in motion.
     currents_a = [
-        max(current_a, min(path.drive.most_breakaway_a, closing_current_max_a(settings, path)))
+        max(
+            current_a,
+            min(path.most_boost * current_a, closing_current_max_a(settings, path, stood_a=inf)),
+        )
         for current_a, path in zip(motion_currents_a(settings, paths, _FORCE_N), paths, strict=True)
     ]
     servos.goals.write(

@@ -242,9 +242,7 @@ def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path, m
         simulator_settings(base),
         faults=("servo1.factory", *["taxels.force_gain=0.7"] * boards),
         mounts=EXCHANGED if sensor == "uskin" else (),
-        # From 16 mm the friction of this servo, 1.8 times that of its model, may hold the fingers
-        # in the self-test of the watchdog.
-        aperture_m=0.016 if boards else 0.017,
+        aperture_m=0.016,
     )
     given = {"gripper.port": "/dev/ttyUSB0"}
     ports: tuple[str, ...] = ("/dev/ttyUSB0",)

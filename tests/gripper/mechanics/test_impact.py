@@ -69,7 +69,7 @@ def test_a_config_is_refused_or_slowed_with_the_reason() -> None:
     short = {"gripper.linkage": rack, "gripper.force_max_n": 30.0}
     friction, *_ = changed_config(CellConfig(), short).notes
     assert "the servos' friction is 11 N at the pads" in friction
-    with pytest.raises(ConfigError, match=r"force_max_n is 2 N: .* Raise force_max_n"):
+    with pytest.raises(ConfigError, match=r"gripper: force_max_n is 2 N: .* Raise force_max_n"):
         changed_config(
             CellConfig(),
             {
