@@ -175,7 +175,8 @@ class GripControl:
         self.watch = PartWatch(grip, contact_n_m, widest_m=max(touch_m, state.aperture_m) + given_m)
         """Decides whether the part is gone; called before `goals` in each period."""
         self._law = ForceLaw(grip, moment.now_s)
-        self._stepped_s, self._unseen_s = moment.now_s, inf
+        self._stepped_s = moment.now_s
+        self._stalled_s: float | None = None
         self._goals = DriveGoals(grip, state)
 
     @property
@@ -228,10 +229,12 @@ class GripControl:
             self.watch.check_pads(moment, rises=rises_n > 0.0)
         # After a stall the estimates do not have what the last goals have done meanwhile.
         if moment.now_s - self._stepped_s > (LONGEST_STEP + 0.5) * self._settings.period_s:
-            self._unseen_s = self._stepped_s
+            self._stalled_s = moment.now_s
         self._stepped_s = moment.now_s
-        if sample is not None and sample.measured_s > self._unseen_s:
-            self._unseen_s, grip.force_n = inf, sample.grip_n
+        if self._stalled_s is not None:
+            if sample is None or sample.measured_s < self._stalled_s:
+                return self.quiet_goals(moment)
+            self._stalled_s, grip.force_n = None, sample.grip_n
             self._law.begin(moment.now_s)
         paths = transmissions(self._settings, self._linkage, state.angles_rad)
         period = Period(
