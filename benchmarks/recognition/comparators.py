@@ -8,7 +8,7 @@ small grid is searched with blocks in time of the grasps that teach.
 The default recognizer also names the tested grasps under simulated drifts.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,17 +39,15 @@ _FOLDS = 3
 """Blocks in time of the grasps that teach; each is held out in turn."""
 
 Array = NDArray[np.float64]
-PatchFeatures = Callable[[Array, PadGrid], Array]
-"""From the patch of a pad (n_taxels,) and its grid to features (F,)."""
 
 
-def centroid_mm(patch: Array, grid: PadGrid) -> Array:
-    """Return the centre of the load (2,), that of the pad for an empty patch."""
-    return np.average(grid.xy_mm, axis=0, weights=patch if patch.any() else None)
+def centred(patch: Array, grid: PadGrid) -> Array:
+    """Return the pressures of a pad, moved so that the centre of the load is in its middle.
 
-
-def sample_mm(patch: Array, grid: PadGrid, points_mm: Array) -> Array:
-    """Return a patch, interpolated at points (..., 2); 0 one pitch outside the pad."""
+    They are interpolated, and 0 one pitch outside the pad.
+    """
+    centre_mm = np.average(grid.xy_mm, axis=0, weights=patch if patch.any() else None)
+    points_mm = grid.xy_mm + centre_mm - grid.xy_mm.mean(axis=0)
     step_mm = (grid.xy_mm[-1] - grid.xy_mm[0]) / np.maximum(np.array(grid.shape) - 1, 1)
     step_mm = np.where(step_mm == 0.0, grid.pitch_mm, step_mm)
     at = (points_mm - grid.xy_mm[0]) / step_mm + 1.0
@@ -57,29 +55,22 @@ def sample_mm(patch: Array, grid: PadGrid, points_mm: Array) -> Array:
     return map_coordinates(padded, np.moveaxis(at, -1, 0), order=1, mode="constant")
 
 
-def centred(patch: Array, grid: PadGrid) -> Array:
-    """Return the pressures of a pad, moved so that the centre of the load is in its middle."""
-    off_mm = centroid_mm(patch, grid) - grid.xy_mm.mean(axis=0)
-    return sample_mm(patch, grid, grid.xy_mm + off_mm)
-
-
 class Comparator(ClassifierMixin, BaseEstimator):
     """A method: ``fit(grasps, labels)``, ``predict(grasps)``.
 
-    It has features of each gripping pad's patch, or with None those of the product.
+    It has the features of the product, or with ``raw`` the centred pressures of each gripping pad.
     """
 
     def __init__(
         self,
-        of_patch: PatchFeatures | None,
         classifier: BaseEstimator,
         grid: Mapping[str, Sequence[object]],
         *,
-        scaled: bool = True,
+        raw: bool = False,
         opening: bool = False,
     ) -> None:
-        self.of_patch, self.classifier, self.grid = of_patch, classifier, grid
-        self.scaled, self.opening = scaled, opening
+        self.classifier, self.grid = classifier, grid
+        self.raw, self.opening = raw, opening
 
     def fit(self, grasps: Sequence[Grasp], labels: Sequence[str]) -> "Comparator":
         """Teach with the parameters that are best on blocks in time of each object's grasps."""
@@ -88,7 +79,7 @@ class Comparator(ClassifierMixin, BaseEstimator):
         masks = blocked_folds(np.unique(names, return_inverse=True)[1], _FOLDS)
         folds = [(np.flatnonzero(~held), np.flatnonzero(held)) for held in masks]
         self.rest_ = learn_rest(ordered)
-        scaler = StandardScaler(with_mean=self.scaled, with_std=self.scaled)
+        scaler = StandardScaler(with_mean=not self.raw, with_std=not self.raw)
         steps = (SimpleImputer(keep_empty_features=True), scaler, self.classifier)
         model = Pipeline(list(zip(("filler", "scaler", "model"), steps, strict=True)))
         grid = {f"model__{name}": values for name, values in self.grid.items()}
@@ -103,28 +94,25 @@ class Comparator(ClassifierMixin, BaseEstimator):
     def _rows(self, grasps: Sequence[Grasp]) -> Array:
         """Return the features (n, F)."""
         levels, rest = load_levels(grasps, self.rest_), self.rest_
-        if self.of_patch is None:
+        if not self.raw:
             return features_of(levels, rest, opening=self.opening)
         of_pads = []
         for column, pad in enumerate(rest.gripping):
             patches = pressed(levels.maps[column][:, -1], levels.noise[:, -1, column])
             grid = pad_grid(rest.pads, pad)
-            of_pads.append([self.of_patch(patch, grid) for patch in patches])
+            of_pads.append([centred(patch, grid) for patch in patches])
         return np.concatenate(of_pads, axis=1)
 
 
 METHODS = {
     "discriminant": Comparator(
-        None, LinearDiscriminantAnalysis(solver="lsqr"), {"shrinkage": ("auto", 0.03, 0.3)}
+        LinearDiscriminantAnalysis(solver="lsqr"), {"shrinkage": ("auto", 0.03, 0.3)}
     ),
     "extra_trees": Comparator(
-        None,
         ExtraTreesClassifier(300, random_state=0),
         {"max_features": ("sqrt", 0.3), "min_samples_leaf": (1, 2, 4)},
     ),
-    "raw_neighbours": Comparator(
-        centred, KNeighborsClassifier(), {"n_neighbors": (1, 3, 5)}, scaled=False
-    ),
+    "raw_neighbours": Comparator(KNeighborsClassifier(), {"n_neighbors": (1, 3, 5)}, raw=True),
 }
 DRIFTS = (Drift(gains=(0.7,), aperture_offset_m=-4e-3), Drift(gains=(0.7, 0.9)))
 """Drifts: one that the recognizer assumes, and unequal gains of the fingers, which it does not."""

@@ -192,7 +192,7 @@ class CellConfig(Section):
             with raised_as(ValueError, LimitExceeded, where=where):
                 self.linkage.angles_rad(1e-3 * getattr(self.gripper, name))
         with raised_as(ValueError, LimitExceeded, where="gripper"):
-            check_approach(self.gripper_settings, self.linkage)
+            speed_m_s = check_approach(self.gripper_settings, self.linkage)
         key = "force_n" if most_n in self.sequence.forces_n else "carry_force_n"
         with raised_as(ValueError, LimitExceeded, where=f"gripper and sequence.{key}"):
             ramp = ramp_from_config(self.sequence.ramp, most_n)
@@ -205,7 +205,7 @@ class CellConfig(Section):
                 f"{gripper.baud_rate} allows at most {most_hz:.0f} Hz: raise the baud rate, also "
                 f"in the servos, or lower the loop rate"
             )
-        self._check_closing()
+        self._check_closing(speed_m_s)
         period_ms = 1e3 * tactile.frame_period_s
         if not tactile.sends_forces and gripper.force_stale_ms < 2.5 * period_ms:
             raise ValueError(
@@ -214,10 +214,9 @@ class CellConfig(Section):
                 "tactile.sync_period_ms"
             )
 
-    def _check_closing(self) -> None:
-        """Refuse a contact time-out that is too short for the fingers to close."""
+    def _check_closing(self, speed_m_s: float) -> None:
+        """Refuse a contact time-out that is too short for fingers that close at a speed in m/s."""
         gripper, settings = self.gripper, self.gripper_settings
-        speed_m_s = check_approach(settings, self.linkage)
         way_m = settings.aperture_open_m - settings.aperture_min_m
         closing_s = way_m / speed_m_s + _STARTING_S
         if closing_s <= gripper.contact_timeout_s:
