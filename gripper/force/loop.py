@@ -20,7 +20,7 @@ from gripper.values.state import Cycle, GripperPhase, Observer, ServoFeedback
 
 _HEALTH_EVERY = 4
 """Periods between two health checks: each takes a transaction of the period. [chosen]"""
-LONGEST_STEP = 2.0
+_LONGEST_STEP = 2.0
 """Longest step of control in periods: after a late period nothing catches up. [chosen]"""
 _LOWERING_S, _LONGEST_LOWERING = 0.1, 4.0
 """Time in s in which the currents of too much force fall to 0. The force has followed after this
@@ -58,6 +58,8 @@ class Moment:
     state: ServoFeedback
     sample: ForceSample | None
     """Feedback and newest force sample, with a checked age if the force is used."""
+    stalled: bool = False
+    """Whether the last goals were in force for longer than a step may last."""
 
     @property
     def young(self) -> bool:
@@ -217,10 +219,17 @@ class LoopRunner:
             self._check_force(now_s, running.fresh_s, sample)
         if state is None:
             return None
-        dt_s = min(max(state.t_s - running.last_s, 0.0), LONGEST_STEP * self._settings.period_s)
+        passed_s, period_s = max(state.t_s - running.last_s, 0.0), self._settings.period_s
         running.last_s = state.t_s
+        moment = Moment(
+            now_s=state.t_s,
+            dt_s=min(passed_s, _LONGEST_STEP * period_s),
+            state=state,
+            sample=sample,
+            stalled=passed_s > (_LONGEST_STEP + 0.5) * period_s,
+        )
         try:
-            action = running.step(Moment(now_s=state.t_s, dt_s=dt_s, state=state, sample=sample))
+            action = running.step(moment)
         except LimitExceeded:
             # More force than can be is above the cap first of all, where it is beyond that too.
             self.servos.goals.check_force(noise_excluded=True)

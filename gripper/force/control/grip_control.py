@@ -7,7 +7,7 @@ from gripper.dynamixel.models import ServoModel
 from gripper.force.approach.approach import Approach
 from gripper.force.control.law import ForceLaw, Period
 from gripper.force.estimates.grip import KNOWN_N, Grip, History
-from gripper.force.loop import LONGEST_STEP, Moment
+from gripper.force.loop import Moment
 from gripper.force.supervision.part_watch import PartWatch
 from gripper.mechanics.kinematics import Linkage, Transmission, mean_friction_n, transmissions
 from gripper.servos.goal_limits import (
@@ -175,7 +175,6 @@ class GripControl:
         self.watch = PartWatch(grip, contact_n_m, widest_m=max(touch_m, state.aperture_m) + given_m)
         """Decides whether the part is gone; called before `goals` in each period."""
         self._law = ForceLaw(grip, moment.now_s)
-        self._stepped_s = moment.now_s
         self._stalled_s: float | None = None
         self._goals = DriveGoals(grip, state)
 
@@ -189,7 +188,6 @@ class GripControl:
         """Begin again after a pause: samples from before it are discarded."""
         self.watch.resume()
         self._law.resume()
-        self._stepped_s = inf
 
     def begin_again(self, state: ServoFeedback) -> None:
         """Begin the law at the present force and opening: others have moved the fingers."""
@@ -228,9 +226,8 @@ class GripControl:
             self.watch.pads.take(sample)
             self.watch.check_pads(moment, rises=rises_n > 0.0)
         # After a stall the estimates do not have what the last goals have done meanwhile.
-        if moment.now_s - self._stepped_s > (LONGEST_STEP + 0.5) * self._settings.period_s:
+        if moment.stalled:
             self._stalled_s = moment.now_s
-        self._stepped_s = moment.now_s
         if self._stalled_s is not None:
             if sample is None or sample.measured_s < self._stalled_s:
                 return self.quiet_goals(moment)
