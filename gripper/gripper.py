@@ -29,7 +29,6 @@ from gripper.errors import (
 )
 from gripper.force.approach.empty_motion import FirstMotion, MoveTo, StandStill
 from gripper.force.approach.mechanics_proof import standing_rows
-from gripper.force.by_current import ForceByCurrent, assume_friction, cap_by_current_n
 from gripper.force.control.grip_control import GripControl
 from gripper.force.estimates.free_motion import FreeMotion
 from gripper.force.grasp import GraspRun, GripStep, HoldStep
@@ -82,8 +81,7 @@ class Gripper:
     linkage
         Mechanics; its number of servos is that of the settings.
     force_sensor
-        Read once every period of the loop; None: force by current, see
-        `gripper.force.by_current.ForceByCurrent`.
+        Read once every period of the loop.
     """
 
     def __init__(
@@ -93,16 +91,13 @@ class Gripper:
         settings: GripperSettings,
         *,
         clock: Clock,
-        force_sensor: ForceSensor | None,
+        force_sensor: ForceSensor,
     ) -> None:
         if linkage.n_servos != len(settings.servos):
             raise LimitExceeded(
                 f"the linkage is driven by {linkage.n_servos} servos, the settings name "
                 f"{len(settings.servos)}"
             )
-        if force_sensor is None:
-            assume_friction(settings)
-            settings = replace(settings, force_max_n=cap_by_current_n(settings, linkage))
         self.bus = bus
         """The servos' line."""
         self._linkage = linkage
@@ -111,8 +106,8 @@ class Gripper:
         """Limits and tuning."""
         self._ids = [servo.servo_id for servo in settings.servos]
         self._servos = servos = Servos(bus, linkage, settings, clock)
-        self._sensor = force_sensor or ForceByCurrent(servos, linkage, settings)
-        self._runner = runner = LoopRunner(servos, self._sensor, settings, clock)
+        self._sensor = force_sensor
+        self._runner = runner = LoopRunner(servos, force_sensor, settings, clock)
         self._life = Lifecycle(runner)
         self._free = FreeMotion(settings)
         self._grasping = GraspRun(runner, linkage, settings, self._life.set_phase, self._free)
@@ -783,7 +778,7 @@ def open_gripper(
     linkage: Linkage | None = None,
     *,
     baud_rate: int = 1_000_000,
-    force_sensor: ForceSensor | None = None,
+    force_sensor: ForceSensor,
 ) -> Gripper:
     """Open the servos' port and return their gripper; ``with`` verifies the servos.
 
@@ -805,8 +800,7 @@ def open_gripper(
     baud_rate
         Of the servos, in bit/s.
     force_sensor
-        Read once every period of the loop. None: the force is controlled by the motors' current
-        alone, which is less exact and detects less; see `gripper.force.by_current.ForceByCurrent`.
+        Read once every period of the loop, e.g. a `tactile.GripForce`.
 
     Raises
     ------

@@ -21,7 +21,7 @@ rad/s, and of the offset. [assumed]"""
 _POINT_SD = 0.02
 """Error of the current of one free motion that a longer motion does not reduce, as a share: teeth,
 temperature, acceleration. [assumed]"""
-LEAST_FRICTION_SD, _LEAST_LOAD_SD = 0.05, 0.02
+_LEAST_FRICTION_SD, _LEAST_LOAD_SD = 0.05, 0.02
 """Least uncertainty of a measured friction, which varies between motions, and of A for each N m.
 [assumed]"""
 _CHANGE_SD = 0.1
@@ -97,7 +97,7 @@ def fit_friction(points: Sequence[FreePoint], before: DriveCharacteristic) -> Dr
         viscous_a_s=viscous,
         offset_a=offset,
         breakaway_a=before.breakaway_share * rest_a if before.measured else rest_a,
-        friction_sd=max(rest_sd, LEAST_FRICTION_SD),
+        friction_sd=max(rest_sd, _LEAST_FRICTION_SD),
     )
 
 
@@ -166,7 +166,7 @@ def _rising(points: Sequence[LoadPoint], before: DriveCharacteristic) -> _Fit | 
     blocks = _moving(points, _LOCKED[True], 1.0 - _ENDS)
     if blocks is None:
         return None
-    base_sd_a = before.breakaway_a * max(before.friction_sd, LEAST_FRICTION_SD)
+    base_sd_a = before.breakaway_a * max(before.friction_sd, _LEAST_FRICTION_SD)
     start = np.array([before.rising_a_nm, before.breakaway_a])
     return _fit(
         blocks, lambda line, load_nm: line[0] * load_nm + line[1], start, [np.inf, base_sd_a]

@@ -35,8 +35,6 @@ class ForceSample:
     samples come from frames."""
     frame_n: tuple[float, float] = (0.0, 0.0)
     """Normal force on finger 0 and on finger 1 in N in that frame alone."""
-    by_current: bool = False
-    """Whether the force follows from the servos' current, so that no sensor confirms it."""
 
     @property
     def measured_s(self) -> float:

@@ -1,15 +1,34 @@
 """A gripper from its port: what the block verifies at its beginning and keeps at its end."""
 
 from contextlib import suppress
+from typing import Any
 
 import pytest
 from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, GroupSyncRead
 
-from gripper import ForceRamp, GripperPhase, GripperSettings, RackPinion, open_gripper
+from gripper import (
+    ForceRamp,
+    ForceSample,
+    Gripper,
+    GripperPhase,
+    GripperSettings,
+    RackPinion,
+    open_gripper,
+)
 from gripper.dynamixel.protocol2 import CheckedPacketHandler
 from gripper.dynamixel.serial_port import SdkPort, open_line
 from gripper.errors import LimitExceeded, PortLost, VerificationFailed
 from simulator import SimulatedCell, simulated_cell
+from tactile import GripForce, open_sensor
+
+
+class NoPads:
+    def latest_force(self) -> None:
+        return None
+
+
+def opened(line: Any, *args: Any) -> Gripper:
+    return open_gripper(line, *args, force_sensor=NoPads())
 
 
 def gripped_n(sim: SimulatedCell) -> float:
@@ -18,16 +37,17 @@ def gripped_n(sim: SimulatedCell) -> float:
 
 @pytest.mark.slow
 def test_an_error_in_the_block_closes_the_port_and_keeps_the_part() -> None:
-    with simulated_cell("box") as sim:
-        line = sim.servo_port
-        with suppress(KeyError), open_gripper(line) as gripper:
+    with simulated_cell("box") as sim, open_sensor(sim.can_bus) as sensor:
+        sensor.tare()
+        line, force = sim.servo_port, GripForce(sensor, ForceSample)
+        with suppress(KeyError), open_gripper(line, force_sensor=force) as gripper:
             gripper.open()
             gripper.grasp(ForceRamp.linear(5.0, 10.0))
             raise KeyError
         assert line.closed
         sim.clock.sleep(3.0)
         assert gripped_n(sim) > 4.0
-        with open_gripper(sim.servo_port) as gripper:
+        with opened(sim.servo_port) as gripper:
             assert gripper.phase is GripperPhase.HELD_AFTER_FAULT
             assert gripped_n(sim) > 4.0
             gripper.release()
@@ -39,15 +59,15 @@ def test_a_gripper_that_cannot_be_or_does_not_match_leaves_no_port_open() -> Non
     with simulated_cell() as sim:
         line = sim.servo_port
         sim.inject("servos.off")
-        with pytest.raises(VerificationFailed), open_gripper(line):
+        with pytest.raises(VerificationFailed), opened(line):
             pass
         assert line.closed
         line = sim.open_servo_port()
         with pytest.raises(LimitExceeded, match="driven by 1 servos, the settings name 2"):
-            open_gripper(line, GripperSettings(), RackPinion(pinion_radius_m=0.012))
+            opened(line, GripperSettings(), RackPinion(pinion_radius_m=0.012))
         assert line.closed
     with pytest.raises(PortLost, match="cannot open serial port /dev/nowhere"):
-        open_gripper("/dev/nowhere")
+        opened("/dev/nowhere")
 
 
 @pytest.mark.parametrize(

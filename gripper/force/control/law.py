@@ -15,8 +15,6 @@ fingers start makes the force jump by twice the difference. So fingers at rest a
 of one period, and come to rest within a fraction of a newton (impulsive control, Armstrong-Helouvry
 1991). Where the force should grow faster than such pushes make it, the motion goes on. A push that
 starts nothing makes the next one larger.
-
-Samples by current show no motion: the drive is then the edge of the friction band.
 """
 
 from collections import deque
@@ -67,8 +65,6 @@ _MOTION_STEPS = 1.5
 """Change of the opening in steps of its resolution that shows a motion. [resolution]"""
 _LEAST_OPENING_SHARE = 0.3
 """Least friction of opening fingers over that of closing ones. [chosen]"""
-_RELAXED_S = 1.0
-"""Time in s of a hold by current after which the current falls to what the force needs. [chosen]"""
 _JUMP_N, _JUMP_SDS = 0.8, 4.0
 """Sudden growth of the measured force that no drive makes: in N, and in standard deviations. As a
 share of the set-point it is that of a slip. [chosen]"""
@@ -232,7 +228,6 @@ class ForceLaw:
         self._drives_n, self._samples_n, self._balance_n = History(), History(), grip.balance_n
         self._setpoint_n, self._rates_n_s = grip.setpoint_n, deque([0.0], maxlen=3)
         self._started_m, self._most_m_s = grip.apertures.newest, 0.0
-        self._falls, self._still_s = False, 0.0
         self._jumped_s: float | None = None
         self._contradicted_s = 0.0
 
@@ -252,9 +247,6 @@ class ForceLaw:
         observer = self.observer
         self._advance_plan(period)
         grip.planned_n, grip.rate_n_s = self.plan.force_n, self.plan.rate_n_s
-        if sample is not None and sample.by_current:
-            grip.force_n = grip.balance_n = sample.grip_n
-            return self._edge_n(period)
         measured_n = driving_n(period.state, period.paths)
         before_n = self._drives_n.newest if self._drives_n else measured_n
         self._drives_n.add(period.moment.now_s, measured_n)
@@ -320,16 +312,6 @@ class ForceLaw:
             most_n_s=self._most_m_s * stiffness,
             change_n_s2=min(max(abs(ramp_n_s), _LEAST_RATE_N_S) / _RATE_S, most_n_s2),
         )
-        if self.plan.rate_n_s != 0.0:
-            self._falls, self._still_s = self.plan.rate_n_s < 0.0, 0.0
-        self._still_s += dt_s
-
-    def _edge_n(self, period: Period) -> float:
-        """Return the drive in N at the edge of the friction band; in a hold, in its middle."""
-        force_n = self.plan.force_n
-        if self._still_s > _RELAXED_S:
-            return force_n
-        return period.yielding_n(force_n) if self._falls else force_n + period.friction_n
 
     def _starting_n(
         self,

@@ -227,18 +227,6 @@ def test_a_force_that_was_predicted_wrongly_has_not_jumped() -> None:
     assert 0.25 * before_n_m < observer.stiffness_n_m < 2.0 * before_n_m
 
 
-def test_by_current_the_drive_is_the_edge_of_the_friction_and_then_its_middle() -> None:
-    grip = make_grip(2.0)
-    law = ForceLaw(grip, 0.0)
-    drives_n = []
-    for i, setpoint_n in enumerate(ramp(2.0, 4.0, 10.0, hold_s=1.5)):
-        sample = ForceSample(t_s=i * PERIOD_S, force_n=(2.0, 2.0), by_current=True)
-        drives_n.append(law.step(make_period(i * PERIOD_S, setpoint_n, sample, end_n=4.0)))
-    friction_n = make_period(0.0, 0.0).friction_n
-    assert drives_n[80] == pytest.approx(4.0 + friction_n, abs=0.1)
-    assert drives_n[-1] == pytest.approx(4.0, abs=0.1)
-
-
 # -- Goals that make a driving force: their side, and how far they may open ------------------------
 
 
