@@ -56,7 +56,7 @@ def draw(n: int, seed: int) -> list[dict[str, Any]]:
     for path, name, occurrence in random.Random(seed).sample(places, len(places)):
         code = path.read_text(encoding="utf-8")
         mutated = MutationVisitor.mutate_code(code, get_operator(f"core/{name}")(), occurrence)
-        if mutated is None or ast.dump(ast.parse(mutated)) == ast.dump(ast.parse(code)):
+        if mutated is None or not _changes(code, mutated):
             continue
         pairs = zip(code.splitlines(), mutated.splitlines(), strict=False)
         line, old, new = next((i, *pair) for i, pair in enumerate(pairs, 1) if pair[0] != pair[1])
@@ -65,6 +65,14 @@ def draw(n: int, seed: int) -> list[dict[str, Any]]:
         if len(mutants) == n:
             break
     return mutants
+
+
+def _changes(code: str, mutated: str) -> bool:
+    """Return whether a mutant means something else; not every one of cosmic-ray is valid code."""
+    try:
+        return ast.dump(ast.parse(mutated)) != ast.dump(ast.parse(code))
+    except SyntaxError:
+        return False
 
 
 def tests_of(mutant: dict[str, Any], times_s: dict[str, float]) -> list[str]:
