@@ -441,6 +441,8 @@ class HoldStep:
             self._slip.check(moment, 0, setpoint_n=self._setpoint_n)
         goals = self._control.goals(moment, self._setpoint_n)
         done = self._elapsed_s >= self._duration_s - _EQUAL_S
+        # The last goals stay in force: a push would go on.
+        goals = self._control.quiet_goals(moment) if done else goals
         return Action(goals=goals, setpoint_n=self._setpoint_n, done=done)
 
 

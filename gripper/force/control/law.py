@@ -96,10 +96,6 @@ class Period:
         """Feedback of the servos."""
         return self.moment.state
 
-    def yielding_n(self, force_n: float) -> float:
-        """Return the drive in N at which a force in N begins to fall, the mean of the servos."""
-        return fmean([path.yielding_n(force_n) for path in self.paths])
-
 
 class ForcePlan:
     """Plan of the force: its rate follows that of the set-point and ends at rest.
@@ -291,7 +287,8 @@ class ForceLaw:
         friction_n = fmean(
             [path.drive.moving_a(speed_m_s / path.radius_m) * path.n_per_a for path in period.paths]
         )
-        held_n = force_n - period.friction_n - period.yielding_n(force_n)
+        yielding_n = fmean([path.yielding_n(force_n) for path in period.paths])
+        held_n = force_n - period.friction_n - yielding_n
         return friction_n, max(friction_n + held_n, _LEAST_OPENING_SHARE * friction_n)
 
     def _advance_plan(self, period: Period) -> None:

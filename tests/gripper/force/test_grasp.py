@@ -200,15 +200,22 @@ MOMENT = Moment(now_s=1.0, dt_s=0.005, state=make_state(1.0), sample=None)
 
 def control(*, lost: bool = False, suspicious: bool = False) -> Any:
     """Return a control that holds 2 N, and whose part is there or not."""
-    goals = (ServoGoal(angle_rad=0.0, current_a=0.3),) * 2
+    goals, quiet = ((ServoGoal(angle_rad=0.0, current_a=a),) * 2 for a in (0.3, 0.2))
     return SimpleNamespace(
         force_n=2.0,
         grip=SimpleNamespace(force_n=2.0, setpoint_n=2.0),
         watch=SimpleNamespace(lost=lambda _moment: lost, suspicious=suspicious),
         resume=lambda: None,
         goals=lambda *_given, **_named: goals,
-        quiet_goals=lambda _moment: goals,
+        quiet_goals=lambda _moment: quiet,
     )
+
+
+def test_the_end_of_a_hold_leaves_no_push_in_force() -> None:
+    step = HoldStep(SETTINGS, control(), 1.5 * MOMENT.dt_s)
+    pushes, ends = step.step(MOMENT), step.step(MOMENT)
+    assert [action.goals[0].current_a for action in (pushes, ends)] == [0.3, 0.2]
+    assert (pushes.done, ends.done) == (False, True)
 
 
 def test_levels_are_watched_for_a_slip_unless_the_part_is_in_doubt(monkeypatch) -> None:
