@@ -194,6 +194,7 @@ def test_a_unit_that_differs_a_little_is_started(idle, change) -> None:
         ("Frame format.Header bytes", 2, "Header bytes"),
         ("TPDO1 mapping parameter.Highest sub-index supported", 0, r"\(1A00h:00\)"),
         ("TPDO1 mapping parameter.Mapped object 2", 0x2100_0040, r"object 2 \(1A00h:02\)"),
+        ("TPDO1 mapping parameter.Mapped object 1", 0x6110_0108, r"\(1A00h:01\)"),
         (od.FRAMES_COB_ID, 0x8000_0185, "COB-ID used by TPDO1"),
         (od.FRAMES_COB_ID, 0x2000_0185, r"\(1800h:01\): expected 389 .*0x20000185"),
         (FRAMES_TYPE, 1, r"\(1800h:02\): expected 254 .*, store"),
@@ -207,6 +208,12 @@ def test_another_unit_is_refused_with_expected_and_found(make_bench, entry, valu
     with pytest.raises(IdentityMismatch, match=says):
         bench.link.start()
     assert (bench.unit.nmt_state, bench.link.statistics.requests) == ("PRE-OPERATIONAL", 0)
+
+
+def test_a_unit_that_forbids_requests_of_its_frames_is_the_same(make_bench) -> None:
+    bench = make_bench()
+    bench.unit.pretend(od.FRAMES_COB_ID, 0x4000_0185)
+    bench.link.start()
 
 
 def test_exchanged_pads_are_refused_by_the_serial_numbers_of_their_boards(make_bench) -> None:
