@@ -55,8 +55,7 @@ def _used_s() -> float:
 class ProcessorTime:
     """Measures each test, fails one above the limit, and compares the sum with the budget."""
 
-    def __init__(self, test_limit_s: float, budget_s: float | None, list_path: str | None) -> None:
-        self._test_limit_s = test_limit_s
+    def __init__(self, budget_s: float | None, list_path: str | None) -> None:
         self._budget_s = budget_s
         self._list_path = list_path
         self._start_s = 0.0
@@ -77,8 +76,8 @@ class ProcessorTime:
         result = yield
         own_s = _used_s() - start_s
         exempt = any(item.get_closest_marker(name) for name in EXEMPT)
-        if own_s > self._test_limit_s and not exempt:
-            limit_s = self._test_limit_s * slowness([loop_s()])
+        if own_s > TEST_LIMIT_S and not exempt:
+            limit_s = TEST_LIMIT_S * slowness([loop_s()])
             if own_s > limit_s:
                 pytest.fail(
                     f"it took {own_s:.2f} s of processor, the limit is {limit_s:.2f} s; simulate "
@@ -134,14 +133,7 @@ class ProcessorTime:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the options for the limit of a test, for the budget of a run, and for the list."""
-    parser.addoption(
-        "--processor-limit",
-        type=float,
-        metavar="S",
-        default=TEST_LIMIT_S,
-        help="fail an unmarked test that takes more",
-    )
+    """Add the options for the budget of a run, and for the list."""
     parser.addoption(
         "--processor-budget", type=float, metavar="S", help="fail a run that takes more in all"
     )
@@ -152,6 +144,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Load the plugin, in each worker too."""
-    options = ("--processor-limit", "--processor-budget", "--processor-times")
+    options = ("--processor-budget", "--processor-times")
     plugin = ProcessorTime(*(config.getoption(one) for one in options))
     config.pluginmanager.register(plugin, "processor_time")

@@ -24,7 +24,9 @@ def run(pytester: pytest.Pytester, *options: str) -> pytest.RunResult:
 
 
 def test_an_unmarked_test_above_the_limit_fails_and_a_marked_one_passes(pytester) -> None:
-    result = run(pytester, "--processor-limit=1e-5")
+    with pytest.MonkeyPatch.context() as patch:  # it is the limit of this test, too
+        patch.setattr("tests.processor_time.TEST_LIMIT_S", 1e-5)
+        result = run(pytester)
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines(["*simulate less, or mark it `slow`*", "FAILED *::test_unmarked*"])
 

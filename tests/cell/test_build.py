@@ -165,11 +165,7 @@ def test_servos_and_noise_are_as_the_config_says() -> None:
         ("simulator.objects", [{"label": "x", "shape": "blob"}], "simulator.objects: x: unkn"),
         ("simulator.objects", [{"label": "x", "shape": "mesh:file=none.stl"}], "objects: x: "),
         ("gripper.linkage", {"kind": "parallel_linkage", "offset_mm": -100.0}, "linkage"),
-        (
-            "simulator.faults",
-            ["servo3.off"],
-            "simulator: fault servo3.off: this cell has no",
-        ),
+        ("simulator.faults", ["servo3.off"], "simulator: fault servo3.off: this cell has no"),
         (
             "tactile.calibration",
             {"kind": "linear", "force_per_count_n": 0.05},

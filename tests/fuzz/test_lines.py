@@ -1,19 +1,16 @@
 """Bad bytes on the lines: CAN messages, a serial CAN adapter, the servo bus, Modbus."""
 
-import asyncio
 import contextlib
 import os
 import re
 import struct
 from collections.abc import Iterator, Sequence
-from contextlib import closing, suppress
 
 import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from cell.config.serve import ServeConfig
-from cell.interfaces.modbus.protocol import ModbusError, ModbusServer, answer
+from cell.interfaces.modbus.protocol import ModbusError, answer
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
     CURRENT_LIMIT,
@@ -154,15 +151,21 @@ def test_the_driver_takes_whole_lines_only(terminal, stream, harm, piece):
 
 @pytest.mark.parametrize(
     "line",
-    [b"t1818112233", b"t1_0211AA", b"t+181 0", b"tFFF0", b"TFFFFFFFF0", b"t1811AABB", b"d1810"],
+    [
+        *(
+            b"t1818112233",
+            b"t1_0211AA",
+            b"t+181 0",
+            b"tFFF0",
+            b"TFFFFFFFF0",
+            b"t1811AABB",
+            b"d1810",
+        ),
+        b"?" * 40 + b"t1811AA",  # the end of an overlong line, which comes by itself
+    ],
 )
 def test_a_line_that_is_not_whole_is_no_message(terminal, line) -> None:
-    assert received(*terminal, [line + b"\rt1811AA\r"]) == [(0x181, False, b"\xaa")]
-    assert terminal[1].bad_lines == 1
-
-
-def test_the_end_of_an_overlong_line_is_no_message(terminal) -> None:
-    parts = [b"?" * 40, b"t1811AA\r", b"t1821BB\r"]
+    parts = pieces(line + b"\rt1821BB\r", 40)
     assert received(*terminal, parts) == [(0x182, False, b"\xbb")]
     assert terminal[1].bad_lines == 1
 
@@ -349,21 +352,3 @@ def test_every_request_gets_an_answer_of_its_function_or_an_exception(request):
         # What is written stands in the request as it was sent: no half, no swapped value.
         assert struct.pack(f">{len(values)}H", *values) in request
     return f"function {function}"
-
-
-@pytest.mark.parametrize("header", [b"\0\1\0\1\0\6\1", b"\0\1\0\0\0\1\1", b"\0\1\0\0\1\0\1"])
-def test_what_is_no_modbus_is_closed_at_once(header: bytes) -> None:
-    async def answered() -> bytes:
-        reply = b""
-        with closing(ModbusServer(ServeConfig(), 0, lambda _host: Memory())) as server:
-            served = asyncio.create_task(server.serve())
-            reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
-            writer.write(header + b"\3\0\0\0\1")
-            with suppress(ConnectionResetError):
-                reply = await asyncio.wait_for(reader.read(), 10.0)
-            writer.close()
-            server.end()
-            await served
-        return reply
-
-    assert asyncio.run(answered()) == b""

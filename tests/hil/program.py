@@ -4,7 +4,6 @@ import contextlib
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 from tests.waiting import LIMIT_S
@@ -50,11 +49,7 @@ def gone(pid: int) -> bool:
     return not Path(f"/proc/{pid}").exists()
 
 
-def run(
-    *arguments: object,
-    code: int = 0,
-    meanwhile: Callable[[subprocess.Popen[str]], object] = lambda _process: None,
-) -> str:
+def run(*arguments: object, code: int = 0) -> str:
     """Run the program to its end with an exit code; return on one line what was said."""
     pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     command = [*PROGRAM, *map(str, arguments)]
@@ -62,7 +57,6 @@ def run(
         try:
             with contextlib.suppress(PermissionError):  # it has deadlines of 3 ms
                 os.setpriority(os.PRIO_PROCESS, process.pid, -10)
-            meanwhile(process)
             out, err = process.communicate(timeout=LIMIT_S)
         finally:
             process.kill()

@@ -6,29 +6,24 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from math import radians
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from cell.build import Cell, build_cell
-from cell.config.file import changed_config, load_config, parse_config
+from cell.config.file import load_config, parse_config
 from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState
 from cell.errors import CellStateError, CellStopped, HandLost
 from cell.hand.client import HandProcess
 from cell.recording.reader import read_recording
-from cell.runtime.goals import TeachGoal
-from cell.runtime.plugin import TactileCellPlugin
-from cell.runtime.worker import JobFailed
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle, GripperPhase
 from pytest_tactile_cell.process import CellProcess
-from tests.faults.campaign import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 from tests.hil.program import CONFIG, SEQUENCE, first, gone, run
-from tests.waiting import LIMIT_S, until
+from tests.waiting import until
 
 pytestmark = pytest.mark.real_time
 
@@ -152,54 +147,23 @@ def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(make_cell, simulat
     assert gone(stopped)
 
 
-# -- The program against a simulated cell of each test ---------------------------------------------
+# -- The program against a simulated cell of its own -----------------------------------------------
 
 
-@pytest.fixture
-def new_cell(free_machine: None, cell_process: Callable[..., CellProcess]) -> CellProcess:
-    one = cell_process(parse_config(CONFIG + SEQUENCE, source="test"))
-    first(one.pid)
-    return one
-
-
-def teaching(simulator: CellProcess, folder: Path) -> tuple[Any, ...]:
-    """Return the command that teaches the box, with its files in a folder."""
-    command = ("teach", "box", "-n", 50, "--config", simulator.config_path)
-    return (*command, "-o", folder / "d.npz", "--out", folder / "out")
-
-
-def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(new_cell, tmp_path) -> None:
-    def interrupt(client: Any) -> None:
-        new_cell.wait_for_grip(2.4)
-        client.send_signal(signal.SIGINT)
-
-    said = run(*teaching(new_cell, tmp_path), code=1, meanwhile=interrupt)
-    assert "the grip is kept until it is released on purpose. Recording so far: " in said
-    assert "Traceback" not in said
-    assert "Force loop: " in said
-    (recording,) = (tmp_path / "out").glob("teach-*/recording.mcap")
-    assert read_recording(recording).complete
-    held_n = new_cell.grip_n()
-    assert held_n > 0.8
-
-    said = run(*teaching(new_cell, tmp_path), code=1)
-    assert "a part may be in the grip; nothing was moved" in said
-    assert "tactile-cell hand release" in said
-    assert new_cell.grip_n() == pytest.approx(held_n, abs=0.5)
-
-    said = run("hand", "release", "--confirm", "--config", new_cell.config_path)
-    assert "the fingers are open" in said
-    assert new_cell.grip_n() == 0.0
-
-
+@pytest.mark.usefixtures("free_machine")
 def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_servos(
-    new_cell, tmp_path
+    cell_process, tmp_path
 ) -> None:
     """The two lines one after the other: each is enough for what it carries."""
+    new_cell = cell_process(parse_config(CONFIG + SEQUENCE, source="test"))
+    first(new_cell.pid)
     config = ("--config", new_cell.config_path)
     release = f"tactile-cell hand release --config {new_cell.config_path} --confirm"
     unplugged = new_cell.inject("can.unplugged@contact+0.3s")
-    assert release in run(*teaching(new_cell, tmp_path), code=1)
+    files = ("-o", tmp_path / "d.npz", "--out", tmp_path / "out")
+    said = run("teach", "box", "-n", 50, *files, *config, code=1)
+    assert release in said
+    assert "Force loop: " in said
     held_n = new_cell.grip_n()
     assert held_n > 0.5
 
@@ -225,58 +189,3 @@ def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_
     new_cell.inject("can.unplugged")
     assert "the fingers are open" in run("hand", "release", "--confirm", *config)
     assert new_cell.grip_n() == 0.0
-
-
-# -- Axes of a simulated cell: they bring the object, and stop at a fault --------------------------
-
-
-FIRST = {"x_mm": -2.0, "rotation_deg": 20.0, "roll_deg": 30.0}
-FAR = {"x_mm": 4.0, "rotation_deg": 95.0, "roll_deg": 95.0}
-"""Pose that is 4 s away for the drive along x and 7 s for the one that turns."""
-AXES = (X_AXIS | {"velocity": 1.5}, ROTATION_AXIS | {"velocity": 10.0}, WRIST | {"velocity": 30.0})
-NEAR_M, NEAR_RAD = 1e-4, radians(1.5)
-
-
-def positions(cell: CellProcess) -> dict[str, float]:
-    """True position of each axis in m or rad."""
-    return {name: axis["position"] for name, axis in cell.ask(state=True)["axes"].items()}
-
-
-def test_axes_bring_the_object_and_stop_when_a_drive_is_silent(free_machine) -> None:
-    config = changed_config(
-        parse_config(CONFIG, source="tests"),
-        CHANGES
-        | {
-            "positioner": {"kind": "axes", "axes": list(AXES)},
-            "gripper.aperture_open_mm": 20.0,
-            "sequence.kind": "list",
-            "sequence.poses": [FIRST, FAR],
-        },
-    )
-    with contextlib.ExitStack() as undo:
-        cell = CellProcess(config)
-        undo.callback(cell.end)
-        first(cell.pid)
-        plugin = undo.enter_context(TactileCellPlugin(load_config(cell.config_path)))
-        plugin.result(plugin.start(TeachGoal(label="box", grasps=1, train=False)), LIMIT_S)
-        reached = positions(cell)
-        assert reached["x"] == pytest.approx(1e-3 * FIRST["x_mm"], abs=NEAR_M)
-        for part in ("rotation", "roll"):
-            assert reached[part] == pytest.approx(radians(FIRST[f"{part}_deg"]), abs=NEAR_RAD)
-
-        job = plugin.start(TeachGoal(label="box", grasps=2, train=False))
-        until(
-            lambda: (
-                plugin.feedback(job).outcome.terminal
-                or positions(cell)["x"] > reached["x"] + 2.0 * NEAR_M
-            )
-        )
-        cell.ask(inject="axis1.silence")
-        with pytest.raises(JobFailed, match=r"axis x \(drive 11\)"):
-            plugin.result(job, LIMIT_S)
-        assert plugin.status().state == "ABORTED"
-        # The drive that is silent stops by itself when it misses its host.
-        until(lambda: not any(a["moving"] for a in cell.ask(state=True)["axes"].values()))
-        stopped = positions(cell)
-        assert stopped["x"] < 1e-3 * FAR["x_mm"] - NEAR_M
-        assert stopped["rotation"] < radians(FAR["rotation_deg"]) - NEAR_RAD

@@ -221,14 +221,8 @@ def test_a_config_of_a_real_cell_is_simulated_with_its_own_ids_and_limits(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (
-            {"changes": {"tactile.tare_framse": 25}},
-            "did you mean tare_frames",
-        ),
-        (
-            {"changes": {"gripper.port": "/dev/null"}},
-            "cannot set gripper.port: the fix",
-        ),
+        ({"changes": {"tactile.tare_framse": 25}}, "did you mean tare_frames"),
+        ({"changes": {"gripper.port": "/dev/null"}}, "cannot set gripper.port: the fix"),
         ({"changes": {"positioner.kind": "axes"}}, "cannot set positioner.kind"),
         ({"changes": {"tactile.tare_frames.n": 25}}, "no value 'tactile.tare_frames.n'"),
         ({"changes": {"tactile.tare_frames": 1}}, "tactile.tare_frames"),

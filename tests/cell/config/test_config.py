@@ -131,10 +131,7 @@ CAN = PORT + "tactile: {interface: socketcan, channel: can0}\n"
         ),
         ("gripper:\n  force_max_n: .nan\n", ["cell.yaml:2", "gripper.force_max_n", "finite"]),
         ("gripper:\n  servos:\n    - id: 1\n    - id: 300\n", ["yaml:4", "servos.1.id", "252"]),
-        (
-            "gripper: {approach_speed_mm_s: 4, contact_timeout_s: 1}\n",
-            ["1:35: ", "4.7 s", "5 or"],
-        ),
+        ("gripper: {approach_speed_mm_s: 4, contact_timeout_s: 1}\n", ["1:35: ", "4.7 s", "5 or"]),
         ("gripper: {baud_rate: 115200}\n", ["1:11: gripper.b", "115200 allows", "most 64 Hz"]),
         (
             "sequence:\n  max_grasps: 3\n  force_n: [1, 14]\n",

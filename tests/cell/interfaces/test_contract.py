@@ -374,6 +374,12 @@ def test_torn_requests_change_nothing(serve, link, interface) -> None:
     assert served.ended().outcome == "CANCELED"
 
 
+@pytest.mark.parametrize("header", [b"\0\1\0\1\0\6\1", b"\0\1\0\0\0\1\1", b"\0\1\0\0\1\0\1"])
+def test_what_is_no_modbus_is_closed_at_once(serve, link, header: bytes) -> None:
+    port = serve("modbus").interfaces["modbus_port"]
+    assert answered(link(port, "127.0.0.1"), header + b"\3\0\0\0\1") == b""
+
+
 # -- who may connect ---------------------------------------------------------------------------
 
 

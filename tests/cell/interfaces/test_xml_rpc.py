@@ -4,7 +4,6 @@ import ast
 import builtins
 import dis
 import gzip
-import http.client
 import re
 import socket
 import threading
@@ -23,6 +22,7 @@ from cell.control.plan import Pose
 from cell.errors import TrainingSetMissing
 from cell.interfaces.xml_rpc import METHODS, ur_pose
 from gripper.errors import PartSlipped
+from tests.cell.interfaces.hosts import Client
 from tests.cell.served import Served
 from tests.values import raising
 from tests.waiting import until
@@ -125,15 +125,9 @@ def address(served: Served) -> str:
 
 
 def post(served: Served, body: bytes, **headers: str) -> tuple[int, bytes]:
-    """Send one request in one piece: a server that closes with input unread resets the answer."""
-    given = {"Host": "127.0.0.1", "Content-Type": "text/xml", "Content-Length": str(len(body))}
-    head = "".join(f"{name}: {value}\r\n" for name, value in (given | headers).items())
-    port = served.interfaces["xmlrpc_port"]
-    with socket.create_connection(("127.0.0.1", port), timeout=20.0) as link:
-        link.sendall(f"POST /RPC2 HTTP/1.1\r\n{head}\r\n".encode() + body)
-        with closing(http.client.HTTPResponse(link)) as answer:
-            answer.begin()
-            return answer.status, answer.read()
+    host = Client({"http_port": served.interfaces["xmlrpc_port"], "token": ""})
+    given = {"Content-Type": "text/xml"} | headers
+    return host.send("POST", "/RPC2", body, token=None, **given)[:2]
 
 
 def test_a_verification_has_its_answer_and_a_lease_its_end(connect) -> None:

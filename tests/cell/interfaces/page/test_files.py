@@ -117,6 +117,7 @@ def test_the_files_together_are_small_and_the_page_uses_each() -> None:
 def test_nothing_is_written_as_html_and_nothing_comes_from_elsewhere() -> None:
     assert not re.search(r"innerHTML|outerHTML|insertAdjacent|document\.write|\beval\(", SOURCE)
     assert "style=" not in HTML
+    assert "showModal" not in SOURCE  # a modal dialog would be in front of Hold
     assert not re.search(r"\son[a-z]+=", HTML)
     for text in (SOURCE, HTML, (FOLDER / "style.css").read_text()):
         assert set(re.findall(r"https?://[\w./]+", text)) <= {"http://www.w3.org/2000/svg"}
