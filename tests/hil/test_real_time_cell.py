@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -18,9 +17,8 @@ from cell.control.states import CellState
 from cell.errors import CellStateError, CellStopped, HandLost
 from cell.hand.client import HandProcess
 from cell.recording.reader import read_recording
-from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
-from gripper.values.state import Cycle, GripperPhase
+from gripper.values.state import GripperPhase
 from pytest_tactile_cell.process import CellProcess
 from tests.hil.program import CONFIG, SEQUENCE, first, gone, run
 from tests.waiting import until
@@ -96,17 +94,6 @@ def test_a_job_a_stop_and_the_release(make_cell, simulator) -> None:
     assert simulator.grip_n() > 0.8
     controller.release()
     assert simulator.grip_n() == 0.0
-
-    def end_at_3_n(cycle: Cycle, _frames: Any) -> None:
-        if cycle.setpoint_n >= 3.0:
-            hand.end_ramp()
-
-    outcome = hand.grasp(ForceRamp.linear(8.0, 5.0), end_at_3_n)
-    assert outcome.ended_early
-    assert 2.0 < simulator.grip_n() < 6.0
-    hand.end_ramp()
-    hand.release()
-    assert hand.phase is GripperPhase.IDLE
 
     recording = cell.recording_path
     cell.close()

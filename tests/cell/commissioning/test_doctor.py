@@ -25,6 +25,7 @@ from tactile.source import SourceIdentity
 from tests.cell.cells import once, small_config
 from tests.faults.campaign import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 
+PASS, WARN, FAIL = Verdict.PASS, Verdict.WARN, Verdict.FAIL
 REAL = {
     "gripper__port": "/dev/serial-that-is-not-there",
     "tactile__interface": "slcan",
@@ -39,14 +40,14 @@ def by_name(findings: list[Finding]) -> dict[str, Finding]:
 
 def test_the_simulated_cell_is_well() -> None:
     findings = by_name(list(examine(CellConfig())))
-    assert not [f for f in findings.values() if f.verdict is Verdict.FAIL]
-    assert all(f.advice for f in findings.values() if f.verdict is Verdict.WARN)
-    assert findings["servo 1 model_number"].verdict is Verdict.PASS
+    assert not [f for f in findings.values() if f.verdict is FAIL]
+    assert all(f.advice for f in findings.values() if f.verdict is WARN)
+    assert findings["servo 1 model_number"].verdict is PASS
     assert "serial 1" in findings["control unit"].text
     assert findings["tactile frames"].text.endswith(" 0 lost or damaged")
     assert findings["taxels at rest"].text.startswith("0 of 408")
-    assert findings["noise of the taxels"].verdict is Verdict.PASS
-    assert findings["pads' force"].verdict is Verdict.PASS
+    assert findings["noise of the taxels"].verdict is PASS
+    assert findings["pads' force"].verdict is PASS
     assert "0.0 N on finger 0, 0.0 N on finger 1" in findings["pads' force"].text
     assert findings["control unit"].text.endswith("boards of the pads 1 and 2")
     assert "gripper.port" not in findings
@@ -111,20 +112,17 @@ def other_model(simulated: Any) -> None:
 @pytest.mark.parametrize(
     ("fault", "what", "verdict", "text", "advice"),
     [
-        ("unit.stuck", "noise of the taxels", Verdict.WARN, "0 of 408 change at rest", "press"),
-        ("unit.off", "control unit", Verdict.FAIL, "did not boot", "tactile.node_id, tactile.bit"),
-        ("servo2.off", "servos", Verdict.FAIL, "servo 2", "gripper.servos[].id and gripper.baud_r"),
+        ("unit.stuck", "noise of the taxels", WARN, "0 of 408 change at rest", "press"),
+        ("unit.off", "control unit", FAIL, "did not boot", "tactile.node_id, tactile.bit"),
+        ("servo2.off", "servos", FAIL, "servo 2", "gripper.servos[].id and gripper.baud_r"),
+        (other_model, "servo 2 model_number", FAIL, "1030 (expected 1020)", "correct the config"),
         (
-            *(other_model, "servo 2 model_number", Verdict.FAIL),
-            *("1030 (expected 1020)", "correct the config"),
-        ),
-        (
-            *("servo2.turned", "servo 2 present_position", Verdict.FAIL),
+            *("servo2.turned", "servo 2 present_position", FAIL),
             "gripper.servos[1].direction 1, zero_pulse 2048, gripper.linkage",
             "one of these keys is wrong",
         ),
-        ("taxels.stuck_at=5-6:255", "taxels at rest", Verdict.WARN, "2 of 408", "touching"),
-        (disturb, "tactile frames", Verdict.WARN, "lost or damaged", "terminating resistors"),
+        ("taxels.stuck_at=5-6:255", "taxels at rest", WARN, "2 of 408", "touching"),
+        (disturb, "tactile frames", WARN, "lost or damaged", "terminating resistors"),
     ],
 )
 def test_a_fault_is_the_one_finding_that_does_not_pass_and_nothing_moves(
@@ -137,10 +135,9 @@ def test_a_fault_is_the_one_finding_that_does_not_pass_and_nothing_moves(
         cells.append((simulated, simulated.devices.mechanics.aperture_m))
 
     findings = altered(alter)
-    (finding,) = (one for one in findings if one.verdict is verdict and one.what == what)
-    assert [one for one in findings if one.verdict is Verdict.FAIL] == [finding] * (
-        verdict is Verdict.FAIL
-    )
+    finding = by_name(findings)[what]
+    assert finding.verdict is verdict
+    assert [one for one in findings if one.verdict is FAIL] == [finding] * (verdict is FAIL)
     assert text in finding.text
     assert advice in finding.advice
     ((simulated, before_m),) = cells
@@ -151,11 +148,11 @@ def test_a_fault_is_the_one_finding_that_does_not_pass_and_nothing_moves(
 @pytest.mark.parametrize(
     ("left", "verdict", "text", "advice"),
     [
-        (((), ()), Verdict.PASS, "servo 1 has no torque; servo 2 has no torque", ""),
-        (((), (0,)), Verdict.FAIL, "servo 1 has no torque (overload)", "clear --reboot"),
-        (((0, 1), ()), Verdict.WARN, "servo 2 has its torque on", "release --confirm"),
-        (((1,), ()), Verdict.FAIL, "servo 1 has no torque; servo 2 has", "release --confirm"),
-        (((1,), (0,)), Verdict.FAIL, "(overload); servo 2 has its torque on", "release --confirm"),
+        (((), ()), PASS, "servo 1 has no torque; servo 2 has no torque", ""),
+        (((), (0,)), FAIL, "servo 1 has no torque (overload)", "clear --reboot"),
+        (((0, 1), ()), WARN, "servo 2 has its torque on", "release --confirm"),
+        (((1,), ()), FAIL, "servo 1 has no torque; servo 2 has", "release --confirm"),
+        (((1,), (0,)), FAIL, "(overload); servo 2 has its torque on", "release --confirm"),
     ],
 )
 def test_torque_that_is_left_on_is_named_with_the_way_on(
@@ -185,11 +182,11 @@ def test_servos_that_withhold_their_answers_are_named_by_the_register(
             servo.registers.put("status_return_level", level)
 
     findings = by_name(altered(alter))
-    assert not [f for f in findings.values() if f.verdict is Verdict.FAIL]
+    assert not [f for f in findings.values() if f.verdict is FAIL]
     assert ("servo 2 status_return_level" in findings) == whole
     named = ["servo 1 status_return_level"] if whole else ["servo torque", "servos"]
     for one in (findings[name] for name in named):
-        assert one.verdict is Verdict.WARN
+        assert one.verdict is WARN
         assert one.advice.startswith("the cell sets it at its start")
         assert whole or "Status Return Level (register 68)" in one.text
 
@@ -198,7 +195,7 @@ def test_boards_without_force_messages_and_numbers_are_well() -> None:
     preset = load_config(Path(__file__).parents[3] / "config" / "flexitac.yaml")
     findings = by_name(examine(preset))
     assert findings["sensor"].text == "FlexiTac"
-    assert findings["force messages"].verdict is Verdict.PASS
+    assert findings["force messages"].verdict is PASS
     assert findings["force messages"].text.startswith("FlexiTac sends frames alone")
 
 
@@ -231,17 +228,17 @@ def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
     release = f"tactile-cell hand release --config '{file}' --confirm"
     assert release in findings["servo torque"].advice
     load = findings["pads' force"]
-    assert (load.verdict, release in load.advice) == (Verdict.WARN, True)
+    assert (load.verdict, release in load.advice) == (WARN, True)
     measured_n = [float(number) for number in re.findall(r"([\d.]+) N", load.text)]
     assert measured_n == pytest.approx(simulated.world.contact_force_n(), rel=0.25)
     simulated.inject("servos.unplugged")
     findings = by_name(list(examine(small_config(), file)))
     assert "it is unknown whether a part is held" in findings["servo torque"].advice
-    assert findings["pads' force"].verdict is Verdict.WARN
+    assert findings["pads' force"].verdict is WARN
     simulated.close()
 
 
-@pytest.mark.parametrize(("n_pressed", "verdict"), [(1, Verdict.PASS), (4, Verdict.WARN)])
+@pytest.mark.parametrize(("n_pressed", "verdict"), [(1, PASS), (4, WARN)])
 def test_a_part_at_the_contact_force_is_a_warning(n_pressed, verdict) -> None:
     """A taxel of 12 counts has about 0.1 N. The contact force is 0.6 N, most of it unseen."""
     counts = np.tile(400 + np.arange(408, dtype=np.uint16) % 5, (10, 1))
@@ -251,7 +248,7 @@ def test_a_part_at_the_contact_force_is_a_warning(n_pressed, verdict) -> None:
 
 def test_lines_that_cannot_be_opened_are_named() -> None:
     findings = by_name(examine(small_config(**REAL, loop__own_process=False)))
-    assert findings["links"].verdict is Verdict.FAIL
+    assert findings["links"].verdict is FAIL
     assert "can-that-is-not-there" in findings["links"].text
 
 
@@ -276,7 +273,7 @@ BOARDS = {"kind": "flexitac", "ports": ("/dev/no-board", "/dev/no-other-board")}
 def test_each_wrong_port_is_named_with_what_to_do(monkeypatch, changes, keys) -> None:
     monkeypatch.setattr(cell.commissioning.doctor, "_devices", lambda *_: ())
     findings = examine(changed_config(small_config(**REAL), changes))
-    missing = [finding for finding in findings if finding.verdict is Verdict.FAIL]
+    missing = [finding for finding in findings if finding.verdict is FAIL]
     assert [finding.what for finding in missing] == ["gripper.port", *keys]
     assert all("No such file" in one.text and one.what in one.advice for one in missing)
 
@@ -287,7 +284,7 @@ AXES = changed_config(CellConfig(), CHANGES)
 def test_drives_and_servos_of_axes_are_asked_and_not_moved(meddle) -> None:
     findings = by_name(list(examine(AXES)))
     assert findings["axis x (drive 11)"].text == "SWITCH ON DISABLED, position 0 increments"
-    assert findings["axis roll (servo 1)"].verdict is Verdict.PASS
+    assert findings["axis roll (servo 1)"].verdict is PASS
 
     def spoil(made: Any) -> None:
         made.simulated.clock.sleep(0.1)
@@ -301,6 +298,6 @@ def test_drives_and_servos_of_axes_are_asked_and_not_moved(meddle) -> None:
         ("axis rotation (drive 12)", "no SDO response"),
         ("axis roll (servo 1)", "hardware error overload"),
     ):
-        assert findings[name].verdict is Verdict.FAIL
+        assert findings[name].verdict is FAIL
         assert text in findings[name].text
         assert findings[name].advice

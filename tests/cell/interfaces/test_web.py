@@ -288,10 +288,8 @@ def test_all_but_hold_and_health_needs_the_token(served, host) -> None:
         view = served.interfaces["view_token"]
         status, answer = host.ask(method.upper(), place, {}, token=view)
         assert (status == 403) is (method != "get"), path
-        assert status != 403 or (answer["fault_number"], "is view only" in answer["error"]) == (
-            514,
-            True,
-        )
+        if status == 403:
+            assert (answer["fault_number"], "is view only" in answer["error"]) == (514, True)
 
 
 def test_the_description_has_a_text_for_each_path(host) -> None:

@@ -154,6 +154,12 @@ def test_another_shape_is_remarked_only_with_another_size(open_page, cell) -> No
     cell.plugin.model.revision += 1
     becomes(page, "#held_size", "The pads measure a sphere of 9.5 mm: name and shape do not match")
     assert page.locator("#held_shape ellipse.part").count() == 1
+    # A part that was never taught has its shape and size, too.
+    show(page, cell, "unknown")
+    becomes(page, "#held_name", "Unknown")
+    becomes(page, "#held_sure", "Never taught; measured as a sphere of 9.5 mm")
+    assert page.locator("#strip .unknown").count() == 2
+    assert page.locator("#held_shape .part").count() == 1
 
 
 def press(page: Any, selector: str, seconds: float) -> None:
@@ -262,16 +268,6 @@ def test_all_states_fit_and_have_no_finding_of_axe(open_page, cell, scheme, wide
     cell.sends.clear()
     becomes(page, "#state", "Not connected")
     check("away")
-
-
-@pytest.mark.long
-def test_an_unknown_part_is_an_answer(page, cell) -> None:
-    becomes(page, "#state", "Ready")
-    show(page, cell, "unknown")
-    becomes(page, "#held_name", "Unknown")
-    becomes(page, "#held_sure", "Never taught; measured as a sphere of 9.5 mm")
-    assert page.locator("#strip .unknown").count() == 2
-    assert page.locator("#held_shape .part").count() == 1
 
 
 @pytest.mark.long
