@@ -138,18 +138,7 @@ class Cell:
     def health(self) -> dict[str, Any]:
         """Return the counters of both links, the loop and faults."""
         statistics, life = self.controller.hand.statistics, self.controller.life
-        links, sensor, forces = link_values(statistics), statistics.sensor, statistics.source.forces
-        return {
-            "tactile": links["tactile"]
-            | {
-                name: getattr(sensor, name)
-                for name in ("bad_taxels", "saturated_frames", "void_frames")
-            }
-            | {
-                f"force_{name}": getattr(forces, name)
-                for name in ("received", "lost", "repeated", "late", "damaged")
-            },
-            "servo_bus": links["servo_bus"],
+        return link_values(statistics) | {
             "loop": loop_values(statistics.loop, undelivered=statistics.undelivered),
             "recording": self.recording_fault,
             "faults": {str(number): n for number, n in tuple(life.faults.items())},

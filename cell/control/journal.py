@@ -12,35 +12,29 @@ from cell.hand.interface import HandStatistics
 from cell.recording import schema
 from cell.recording.recorder import Recorder
 from cell.recording.schema import estimate_values, shape_values
-from gripper.force.timing import Distribution, LoopStatistics
+from gripper.force.timing import LoopStatistics
 from gripper.values.state import Cycle
 from recognition.grasp import Grasp
 from tactile.source import TactileFrame
 
-DISTRIBUTIONS = ("lateness", "transaction", "sensor_age")
-"""Durations of the force loop that are recorded with their quantiles."""
-
 
 def loop_values(statistics: LoopStatistics, *, undelivered: int = 0) -> dict[str, float]:
-    """Return counts, and p50, p99, p99.9 and maximum of each duration in s, as a flat mapping."""
-    values: dict[str, float] = {
-        name: getattr(statistics, name)
-        for name in ("cycles", "overruns", "late", "missed_reads", "worst_lateness_s")
-    }
-    values["undelivered"] = undelivered
-    for name in DISTRIBUTIONS:
-        distribution: Distribution = getattr(statistics, name)
-        for quantile in ("p50_s", "p99_s", "p999_s", "max_s"):
-            values[f"{name}_{quantile}"] = getattr(distribution, quantile)
-    return values
+    """Return the counts and times of the force loop that a recording has, as a flat mapping."""
+    values = asdict(statistics) | {"undelivered": undelivered}
+    for name, value in asdict(statistics).items():
+        if isinstance(value, dict):
+            values |= {f"{name}_{part}": one for part, one in value.items()}
+    return {name: values[name] for name in schema.LoopStatistics.__annotations__ if name in values}
 
 
 def link_values(statistics: HandStatistics) -> dict[str, dict[str, int]]:
-    """Return the counts of the frame source and the servo bus, as a recording has them."""
-    source = statistics.source
-    counts = ("requests", "late_requests", "foreign", "malformed", "error_frames")
+    """Return the counts of the tactile sensor, its link and the servo bus."""
+    source = asdict(statistics.source)
+    frames, forces = source.pop("frames"), source.pop("forces")
+    del source["recent_loss_rate"]
+    forces = {f"force_{name}": count for name, count in forces.items()}
     return {
-        "tactile": asdict(source.frames) | {name: getattr(source, name) for name in counts},
+        "tactile": frames | source | forces | asdict(statistics.sensor),
         "servo_bus": asdict(statistics.servo_bus),
     }
 
