@@ -9,7 +9,7 @@ import pickle
 import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from inspect import getmembers, isfunction, signature
+from inspect import signature
 from typing import Any
 
 from cell.config.model import CellConfig
@@ -28,36 +28,19 @@ class Boot:
     partial: bool = False
 
 
-_ELSEWHERE = frozenset({"check_ramp", "end_ramp", "tick", "request_stop", "close"})
-"""Methods of `Hand` without a request: the program runs them, or they have their own messages."""
-HAND_COMMANDS = {
-    name: "watch" in signature(method).parameters
-    for name, method in getmembers(Hand, isfunction)
-    if not name.startswith("_") and name not in _ELSEWHERE
-}
-"""The other methods, and whether each runs the force loop with a watch."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandRequest:
-    """A command of `Hand` that the process carries out; its answer has the number.
-
-    ValueError for a name that is not in `HAND_COMMANDS`.
-    """
+    """A command of `Hand` that the process carries out; its answer has the number."""
 
     number: int
     method: str
     arguments: Mapping[str, Any] = field(default_factory=dict)
     """By name, without the callback ``watch``."""
 
-    def __post_init__(self) -> None:
-        if self.method not in HAND_COMMANDS:
-            raise ValueError(f"{self.method!r} is not a command of the hand")
-
     @property
     def watched(self) -> bool:
         """Whether it runs the force loop and sends each period as `HandPeriod`."""
-        return HAND_COMMANDS[self.method]
+        return "watch" in signature(getattr(Hand, self.method)).parameters
 
     def run(self, hand: Hand, watch: OnPeriod) -> Any:
         """Carry it out and return the result of the method."""
