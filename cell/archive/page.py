@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from cell.archive.questions import LEAST_DAYS, SIGNALS, Answers, Trend
 from cell.report.confusion import ConfusionTable, score
-from cell.report.figures import colour, drawing, new_figure, picture
-from cell.report.page import Page
+from cell.report.page import Page, colour, drawing, new_figure, picture
 from recognition.recognizer import UNKNOWN
 
 if TYPE_CHECKING:

@@ -38,8 +38,8 @@ from cell.files import MAX_TEXT
 from cell.interfaces.access import is_loopback, read_secret, same_secret, view_token
 from cell.interfaces.http_server import REMEDIES, REQUEST_BYTES, HttpServer, refusal
 from cell.interfaces.metrics import CONTENT_TYPE, metrics_text
+from cell.interfaces.opening import page_address, qr_code, view_note
 from cell.interfaces.page import mount_page
-from cell.interfaces.page_address import page_address, qr_code, view_note
 from cell.runtime.goals import goal_schema
 from cell.service.service import Service, plain_data, state_values
 from gripper.errors import GripperError

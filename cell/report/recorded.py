@@ -25,9 +25,8 @@ from cell.learning.shape_reading import in_words
 from cell.learning.training import train
 from cell.recording.reader import Recording, between
 from cell.report.confusion import BASELINE, ConfusionTable, paper_table, score_tables
-from cell.report.figures import pad_svg, picture, timeline_figure
 from cell.report.health import health
-from cell.report.page import Page
+from cell.report.page import Page, pad_svg, picture, timeline_figure
 from cell.report.shapes import shapes_view
 from cell.simulation import true_sizes
 from recognition.grasp import Grasp, PadArray

@@ -11,7 +11,7 @@ from distributed import Client
 
 from cell.archive.ingest import ingest, sources
 from cell.archive.store import Archive
-from cell.evaluation.evaluate import evaluate_recognizers
+from cell.evaluation import evaluate_recognizers
 from cell.learning.model import save_model
 from cell.learning.training import train
 

@@ -126,7 +126,7 @@ def print_view(address: str, note: str) -> None:
     if note:
         err.print(f"  {plain_text(note)}", soft_wrap=True)
     elif err.is_terminal:
-        from cell.interfaces.page_address import qr_code  # noqa: PLC0415
+        from cell.interfaces.opening import qr_code  # noqa: PLC0415
 
         qr_code(address).terminal(cast("TextIO", err.file), compact=True)
 

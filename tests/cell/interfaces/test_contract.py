@@ -28,8 +28,7 @@ from cell.interfaces.access import BUSY_MAX, is_for_this_machine, may_connect, s
 from cell.interfaces.cli.commands.serve import report_until
 from cell.interfaces.http_server import REQUEST_BYTES, HttpServer
 from cell.interfaces.modbus.registers import COMMANDS, N_INPUT, N_TEXT, VALUES
-from cell.interfaces.opening import open_interfaces, running, warnings
-from cell.interfaces.page_address import page_address, view_note
+from cell.interfaces.opening import open_interfaces, page_address, running, view_note, warnings
 from cell.interfaces.xml_rpc import METHODS, ur_pose
 from cell.service.service import RELEASE_KEY
 from gripper.errors import ServoFault

@@ -21,9 +21,18 @@ from cell.recording.reader import Recording, read_recording
 from cell.recording.recorder import Recorder
 from cell.report import recorded
 from cell.report.confusion import ConfusionTable, paper_table, score
-from cell.report.figures import colour, drawing, new_figure, pad_svg, picture
 from cell.report.health import HealthRow, count, health
-from cell.report.page import Page, percent, render_report, write_report
+from cell.report.page import (
+    Page,
+    colour,
+    drawing,
+    new_figure,
+    pad_svg,
+    percent,
+    picture,
+    render_report,
+    write_report,
+)
 from cell.report.recorded import (
     MAX_SEQUENCES,
     Answered,

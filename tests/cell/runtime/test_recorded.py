@@ -13,7 +13,7 @@ import pytest
 
 from cell.config.file import changed_config, config_text
 from cell.errors import CellError, ConfigError, ModelError, NoPartFound, RequestRefused
-from cell.evaluation.evaluate import evaluate_recognizers
+from cell.evaluation import evaluate_recognizers
 from cell.files import json_bytes
 from cell.interfaces.cli.session import job_folder
 from cell.learning.labelled_grasps import name_recorded, read_labelled_grasps

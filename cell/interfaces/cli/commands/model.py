@@ -11,9 +11,7 @@ from rich.table import Table
 
 from cell.archive.selection import EVERYTHING, is_archive, parse_selection
 from cell.errors import CellError, ConfigError
-from cell.evaluation.evaluate import EvaluationResult, evaluate_recognizers
-from cell.evaluation.selected_grasps import selected_grasps
-from cell.evaluation.spread import with_spread
+from cell.evaluation import EvaluationResult, evaluate_recognizers, selected_grasps, with_spread
 from cell.files import write_text
 from cell.interfaces.cli import options
 from cell.interfaces.cli.session import (

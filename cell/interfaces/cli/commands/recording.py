@@ -15,8 +15,7 @@ from cell.interfaces.cli.terminal import plain_text, print_line, print_table, sh
 from cell.recording.dataset import read_grasps
 from cell.recording.reader import read_recording, recover_recording
 from cell.recording.retention import mark as mark_one, recordings, unmark as unmark_one
-from cell.report.figures import grasp_figure, write_picture
-from cell.report.page import write_report
+from cell.report.page import grasp_figure, write_picture, write_report
 from cell.report.recorded import recorded_report
 
 RecordingsArgument = Annotated[list[Path], typer.Argument(help="Recordings (.mcap).")]

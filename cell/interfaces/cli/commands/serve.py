@@ -28,8 +28,7 @@ from cell.interfaces.cli.session import (
 )
 from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
 from cell.interfaces.cli.terminal import err, print_note, print_page, print_view
-from cell.interfaces.opening import open_interfaces, warnings
-from cell.interfaces.page_address import page_address, view_note
+from cell.interfaces.opening import open_interfaces, page_address, view_note, warnings
 from cell.service.service import Service, open_service
 from gripper.errors import GripperError
 from tactile.errors import TactileError

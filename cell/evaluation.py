@@ -1,19 +1,67 @@
-"""Evaluation: accuracy of recognizers on recorded grasps, without buses."""
+"""Evaluation: recognizers are trained and tested on selected grasps, without buses."""
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
+from cell.archive.selection import Selection, cell_of, day_of, is_archive
 from cell.errors import CellError, ConfigError, raised_as
-from cell.evaluation.selected_grasps import LEFT_OUT, left_out_in_turn
+from cell.installation import extra
+from cell.learning.labelled_grasps import read_labelled_grasps
+from cell.learning.model import Trained
 from cell.learning.parallel import Progress, one_blas_thread
 from cell.plugins import RECOGNIZERS
+from recognition.drift.drift import DriftFollowing, DriftGrid, DriftPrior, learn_spread
 from recognition.evaluation.evaluation import Evaluation, Mapper, evaluate, one_by_one
-from recognition.evaluation.splits import TrainTest, chronological_split, parse_split
+from recognition.evaluation.splits import (
+    TrainTest,
+    chronological_split,
+    left_out_parts,
+    parse_split,
+    series_names,
+)
 from recognition.grasp import DRAWING_SOURCE, Grasp
 from recognition.recognizers import DEFAULT_TRAINER
+
+_MOST = 400
+"""Grasps of each object that are taken of an archive at most, at random."""
+LEFT_OUT = ("days", "cells", "series")
+"""What can be left out in turn."""
+
+
+def selected_grasps(
+    places: Sequence[str], selection: Selection, note: Callable[[str], None]
+) -> list[Grasp]:
+    """Return the selected labelled grasps of archives, data sets and recordings.
+
+    ``note`` gets what is left out. Raises CellError where one cannot be read, or none is selected.
+    """
+    grasps: list[Grasp] = []
+    for place in places:
+        if is_archive(place):
+            with extra("archive", needed_by="an archive"):
+                from cell.archive.store import Archive  # noqa: PLC0415  slow to load
+            here = list(Archive(place).grasps(selection, most=_MOST))
+            note(f"{place}: {len(here)} grasps, of each object {_MOST} at most")
+        else:
+            every = read_labelled_grasps(Path(place), note)
+            here = [grasp for grasp in every if selection.fits(grasp)]
+        grasps += here
+    if not grasps:
+        raise CellError(f"no labelled grasp of {', '.join(places)} is selected")
+    return grasps
+
+
+def left_out_in_turn(grasps: Sequence[Grasp], what: str) -> list[TrainTest]:
+    """Return grasps to train and to test, for each of `LEFT_OUT`; ValueError with a single one."""
+    if what == "series":
+        return left_out_parts(grasps, series_names(grasps))
+    day = what == "days"
+    return left_out_parts(grasps, [day_of(g.start_ms) if day else cell_of(g) for g in grasps])
+
 
 _NOT_WRITTEN = ("trainer", "uses_aperture", "n", "n_untaught")
 """Figures of a recognizer that ``--json`` omits, because the split has them."""
@@ -155,3 +203,17 @@ def _parts(grasps: Sequence[Grasp], split: str, train: Sequence[Grasp] | None) -
 def _figures(evaluation: Evaluation) -> dict[str, Any]:
     names = [one.name for one in fields(evaluation) if one.name not in _NOT_WRITTEN]
     return {name: getattr(evaluation, name) for name in names}
+
+
+def with_spread(trained: Trained, grasps: Sequence[Grasp]) -> tuple[Trained, DriftPrior | None]:
+    """Return what was trained with the learnt spread, and that; None where there is none to learn.
+
+    It takes a default recognizer without a self-zero, and several days or cells of one object.
+    """
+    recognizer = trained.recognizer
+    if not isinstance(recognizer, DriftFollowing) or recognizer.zero is not None:
+        return trained, None
+    prior = learn_spread(grasps, [f"{day_of(one.start_ms)} {cell_of(one)}" for one in grasps])
+    if prior is None:
+        return trained, None
+    return replace(trained, recognizer=recognizer.with_grid(DriftGrid(prior=prior))), prior
