@@ -210,8 +210,7 @@ class LoopRunner:
                 self._bus_loss.stop_fingers(self.phase)
         # Pads and CAN are supervised in each period, also without answers of the servos.
         sample = self._sensor.latest_force()
-        if sample is not None and (sample.valid or sample.at_least):
-            self.servos.goals.note_force(sample)
+        self.servos.goals.note_force(sample)
         if sample is not None and sample.valid:
             running.fresh_s = max(running.fresh_s, sample.t_s)
         if running.needs_force:
@@ -285,9 +284,7 @@ class LoopRunner:
             before, state = state, servos.read()
             if any(map(gt, state.angles_rad, before.angles_rad)):
                 opened_s = state.t_s
-            sample = self._sensor.latest_force()
-            if sample is not None and (sample.valid or sample.at_least):
-                servos.goals.note_force(sample)
+            servos.goals.note_force(self._sensor.latest_force())
         if opened_s > -inf:
             servos.goals.write(standing(asked, state, share), state)
 

@@ -179,8 +179,10 @@ class GoalWriter:
         self._bus.sync_write(values, GOAL_BLOCK)
         self.last = tuple(goals)
 
-    def note_force(self, sample: ForceSample) -> None:
-        """Add the newest force sample; the same sample may come again."""
+    def note_force(self, sample: ForceSample | None) -> None:
+        """Add the newest force sample, if it shows a force; the same sample may come again."""
+        if sample is None or not (sample.valid or sample.at_least):
+            return
         if self._forces.push(sample) is not None:
             self.newest_force = sample
 

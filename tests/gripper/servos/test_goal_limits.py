@@ -116,9 +116,12 @@ def test_a_finger_past_its_end_may_stay_where_it_was_read_one_count_before() -> 
         writer.check([opens, opens], state)
 
 
-def test_a_force_above_the_cap_counts_while_it_is_young() -> None:
+def test_a_force_above_the_cap_counts_where_it_is_valid_or_more_and_while_it_is_young() -> None:
     writer, state = make_writer(), standing(velocity_rad_s=0.0)
-    writer.note_force(ForceSample(t_s=state.t_s, force_n=(20.0, 20.0)))
+    too_much = ForceSample(t_s=state.t_s, force_n=(20.0, 20.0), valid=False)
+    writer.note_force(too_much)
+    assert writer.newest_force is None
+    writer.note_force(replace(too_much, at_least=True))
     with pytest.raises(ForceAboveCap):
         writer.check([GOOD, GOOD], state)
     writer._clock.sleep(2.0 * PAIR.force_stale_s)
