@@ -11,7 +11,6 @@ from cell.control.identification import EarlyDecider, Identification, Judge, OnG
 from cell.control.journal import Journal
 from cell.control.kept_part import KeptPart, open_counts
 from cell.control.lifecycle import UNTIL_RELEASED, CellLifecycle
-from cell.control.live import LiveValues, live_values
 from cell.control.moves import Moves
 from cell.control.plan import GraspStep, Keep, Pose
 from cell.control.positioner import PatientCaller, Positioner, in_thread
@@ -21,7 +20,7 @@ from cell.control.watch import MotionWatch
 from cell.control.zeroing import BORNE_SHARE, SelfZeros, Zeroing, homing_offsets
 from cell.errors import NoPartFound, PartInGrip, PlanRefused, raised_as
 from cell.files import check_text
-from cell.hand.interface import FORCE_FROM_FRAMES, Hand, LatestValues
+from cell.hand.interface import FORCE_FROM_FRAMES, Hand, LatestValues, LiveValues, live_values
 from cell.recording.recorder import Recorder
 from gripper.clock import Clock
 from gripper.force.ramp import ForceRamp

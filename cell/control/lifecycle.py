@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from cell.control.journal import Journal
-from cell.control.live import FRESH_S
 from cell.control.states import (
     COMPLETIONS,
     TRANSITIONS,
@@ -23,7 +22,7 @@ from cell.control.states import (
 )
 from cell.errors import CellStateError, CellStopped, HandLost, NoPartFound, PositionerError
 from cell.fault_catalogue import error_text, fault_number
-from cell.hand.interface import Hand
+from cell.hand.interface import FRESH_S, Hand
 from gripper.clock import Clock
 from gripper.errors import (
     GraspStopped,

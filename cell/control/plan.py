@@ -22,8 +22,9 @@ class Pose:
     """
 
     x_m: float = 0.0
+    """Offset of the object's centre along the fingers in m."""
     y_m: float = 0.0
-    """Offset of the object's centre in the plane of the pads in m."""
+    """Offset of its centre across the fingers in m."""
     rotation_rad: float = 0.0
     """Turn about the approach axis, along which the pads approach the object (z), in rad."""
     roll_rad: float = 0.0

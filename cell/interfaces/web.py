@@ -63,8 +63,6 @@ _ERRORS = (CellError, GripperError, TactileError, OSError)
 """Expected errors of the cell."""
 RATE_HZ = 30.0
 """Messages per second to one WebSocket."""
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-"""A number in a request."""
 Text = Annotated[str, Field(max_length=REQUEST_BYTES)]
 """A text in a request; with a limit it is also checked for lone surrogates, which JSON answers
 cannot have."""
@@ -141,25 +139,12 @@ class FaultBody(RequestBody):
     fault: Text
 
 
-class PoseFields(RequestBody):
-    """Pose of the object in the grip frame."""
-
-    x_m: Finite = 0.0
-    """Offset of its centre along the fingers in m."""
-    y_m: Finite = 0.0
-    """Offset of its centre across the fingers in m."""
-    rotation_rad: Finite = 0.0
-    """Turn about the closing axis in rad."""
-    roll_rad: Finite = 0.0
-    """Turn about the object's own long axis in rad, before the rotation."""
-
-
 class PoseBody(LeasedBody):
     """Whether the pose with that number was reached, or the pose (m, rad) reached instead."""
 
     seq: int
     ok: bool
-    pose: PoseFields | None = None
+    pose: Pose | None = None
 
 
 class PartBody(LeasedBody):
@@ -168,7 +153,7 @@ class PartBody(LeasedBody):
     part: str | None = Field(default=None, min_length=1, max_length=MAX_TEXT)
     """Name of an object, a shape, for example ``cylinder:diameter=8mm,length=20mm``, or
     ``nothing``; null: each job brings the next object."""
-    pose: PoseFields = PoseFields()
+    pose: Pose = Pose()
     """Offset of the part from the pose of the job."""
 
 
@@ -536,8 +521,7 @@ class WebInterface(HttpServer):
 
     def pose(self, body: PoseBody) -> dict[str, int]:
         """Answer the awaited pose."""
-        reached = None if body.pose is None else Pose(**body.pose.model_dump())
-        self._service.pose_reached(body.lease, body.seq, ok=body.ok, pose=reached)
+        self._service.pose_reached(body.lease, body.seq, ok=body.ok, pose=body.pose)
         return {"seq": body.seq}
 
     def simulated_faults(self) -> dict[str, Any]:
@@ -576,7 +560,7 @@ class WebInterface(HttpServer):
 
         Release a part in the grip first: it cannot be replaced.
         """
-        self._service.choose_part(body.lease, body.part, Pose(**body.pose.model_dump()))
+        self._service.choose_part(body.lease, body.part, body.pose)
         return self.simulated_part()
 
     def reset_simulation(self, body: LeasedBody) -> dict[str, int]:

@@ -43,8 +43,8 @@ from gripper.errors import ServoFault
 
 if TYPE_CHECKING:
     from cell.control.controller import CellController
-    from cell.control.live import LiveValues
     from cell.control.positioner import CarryCallback
+    from cell.hand.interface import LiveValues
     from cell.runtime.parts import OnPart
     from cell.simulation import SimulationRequests
     from gripper.clock import Clock

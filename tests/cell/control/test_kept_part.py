@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from cell.control.kept_part import HeldPart, compared
-from cell.control.live import LiveValues
 from cell.control.plan import GraspStep, Keep, Pose
 from cell.control.positioner import Destination, HostPlaces, OperatorPositioner
 from cell.control.states import CellState, GraspState
 from cell.errors import CellStopped, PositionerError, RecordingError
+from cell.hand.interface import LiveValues
 from cell.hand.local import LocalHand
 from gripper.errors import PartLost
 from gripper.values.state import GripperPhase

@@ -304,7 +304,7 @@ def test_the_description_has_a_text_for_each_path(host) -> None:
     assert [one["properties"]["task"]["const"] for one in kinds] == list(TASKS)
     assert all(
         field["description"]
-        for kind in (*kinds, schemas["PoseFields"], schemas["RefusalBody"])
+        for kind in (*kinds, schemas["Pose"], schemas["RefusalBody"])
         for name, field in kind["properties"].items()
         if name != "task"
     )

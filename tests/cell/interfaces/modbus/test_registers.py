@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from cell.control.live import LiveValues
 from cell.control.plan import Pose
 from cell.errors import PositionerError
+from cell.hand.interface import LiveValues
 from cell.interfaces.modbus import registers as reg
 from cell.service.service import RELEASE_KEY
 from tactile.errors import FrameTimeout

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from cell.control.live import LiveValues
 from cell.control.states import Command
+from cell.hand.interface import LiveValues
 from gripper.errors import PartSlipped
 from tests.cell.interfaces.page.conftest import SHORT_LEASE_S, TEACHING, FakeCell, address
 from tests.marks import LONG
