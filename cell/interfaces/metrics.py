@@ -1,7 +1,7 @@
 """Metrics of a service in the text format of Prometheus."""
 
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from cell.service.history import Sum
@@ -33,10 +33,8 @@ _DRIVES: tuple[tuple[str, str, dict[str, str]], ...] = (
     ),
 )
 """Name and meaning of each measured value of the servos, and its key by direction."""
-_Labelled = Sequence[tuple[Mapping[str, str], float]]
-"""Labels and value of each sample."""
-_Family = tuple[str, str, str, float | _Labelled | Sum]
-"""Name, type, meaning and values of a metric."""
+_Family = tuple[str, str, str, Mapping[str, float]]
+"""Name, type and meaning of a metric; its values by what follows the name: nothing, or labels."""
 
 
 def metrics_text(service: Service) -> str:
@@ -45,30 +43,18 @@ def metrics_text(service: Service) -> str:
     for name, kind, meaning, values in _families(service):
         full = f"tactile_cell_{name}" + ("_total" if kind == "counter" else "")
         lines += [f"# HELP {full} {meaning}", f"# TYPE {full} {kind}"]
-        lines += [
-            f"{full}{suffix}{_labels(labels)} {float(value)!r}"
-            for suffix, labels, value in _samples(values)
-        ]
+        lines += [f"{full}{key} {float(value)!r}" for key, value in values.items()]
     return "\n".join(lines) + "\n"
 
 
-def _samples(
-    values: float | _Labelled | Sum,
-) -> Iterator[tuple[str, Mapping[str, str], float]]:
-    """Yield the suffix of the name, the labels and the value of each sample."""
-    if isinstance(values, Sum):
-        yield "_count", {}, values.n
-        yield "_sum", {}, values.sum
-    elif isinstance(values, float | int):
-        yield "", {}, values
-    else:
-        yield from (("", *sample) for sample in values)
-
-
-def _labels(labels: Mapping[str, str]) -> str:
+def _labels(**labels: str) -> str:
     signs = str.maketrans({"\\": r"\\", '"': r"\"", "\n": r"\n"})
     texts = [f'{name}="{value.translate(signs)}"' for name, value in labels.items()]
-    return f"{{{','.join(texts)}}}" if texts else ""
+    return f"{{{','.join(texts)}}}"
+
+
+def _sum(values: Sum) -> Mapping[str, float]:
+    return {"_count": values.n, "_sum": values.sum}
 
 
 def _families(service: Service) -> Iterator[_Family]:
@@ -92,29 +78,29 @@ def _families(service: Service) -> Iterator[_Family]:
     )
     for name, meaning, value in gauges:
         if value is not None:
-            yield name, "gauge", meaning, value
-    warmth = [({"servo": str(n)}, value) for n, value in enumerate(servos["temperature_c"])]
+            yield name, "gauge", meaning, {"": value}
+    warmth = {_labels(servo=str(n)): value for n, value in enumerate(servos["temperature_c"])}
     yield "servo_temperature_celsius", "gauge", "Temperature of each servo", warmth
-    drives = [({"servo": str(n)}, one) for n, one in enumerate(servos.get("drives", ())) if one]
     for name, meaning, ways in _DRIVES:
-        directed = [
-            (({"direction": way} if way else {}) | servo, drive[key])
-            for servo, drive in drives
+        directed = {
+            _labels(**({"direction": way} if way else {}), servo=str(n)): drive[key]
+            for n, drive in enumerate(servos.get("drives", ()))
+            if drive
             for way, key in ways.items()
-        ]
+        }
         yield name, "gauge", meaning, directed
-    late = [({"quantile": q}, loop[f"lateness_{key}"]) for q, key in _QUANTILES.items()]
+    late = {_labels(quantile=q): loop[f"lateness_{key}"] for q, key in _QUANTILES.items()}
     yield "loop_lateness_seconds", "gauge", "How late periods of the force loop began", late
     parts = sorted(totals.parts.items())
-    results = [({"label": label, "result": result}, n) for (label, result), n in parts]
+    results = {_labels(label=label, result=result): n for (label, result), n in parts}
     yield "parts", "counter", "Parts by label and result", results
-    faults = [({"number": number}, n) for number, n in counters["faults"].items()]
+    faults = {_labels(number=number): n for number, n in counters["faults"].items()}
     yield "faults", "counter", "Faults by number", faults
     for name, meaning, group, key in _COUNTERS:
-        yield name, "counter", meaning, counters[group][key]
-    yield "cycle_seconds", "summary", "Time of each part", totals.cycles_s
+        yield name, "counter", meaning, {"": counters[group][key]}
+    yield "cycle_seconds", "summary", "Time of each part", _sum(totals.cycles_s)
     meaning = "Distance of force and set-point at the end of a grasp"
-    yield "force_error_newtons", "summary", meaning, totals.force_errors_n
+    yield "force_error_newtons", "summary", meaning, _sum(totals.force_errors_n)
 
 
 def _free_bytes(service: Service) -> float | None:
