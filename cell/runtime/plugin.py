@@ -13,9 +13,10 @@ import weakref
 from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, wait as wait_for
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -166,7 +167,7 @@ class TactileCellPlugin:
         self._starting = threading.Lock()
         self._health = health_values
         self._levels: dict[str, Any] = {}
-        self._health_s = float("-inf")
+        self._health_s = -inf
         self.model = (
             TaughtModel(checked)
             if model is None
@@ -210,13 +211,11 @@ class TactileCellPlugin:
             else SimulationRequests(self.cell.simulated, self._worker.between_jobs)
         )
         self._ending = threading.Lock()
-        self._lease: Lease | None = None
+        self._lease = self._lease_of_host(checked.host_timeout_s)
         self._closed = False
-        if checked.host_timeout_s is not None:
-            self._lease = self._lease_of_host(checked.host_timeout_s)
 
-    def _lease_of_host(self, timeout_s: float) -> Lease:
-        """Return the lease of the host; its loss stops the job."""
+    def _lease_of_host(self, timeout_s: float | None) -> Lease:
+        """Return the lease of the host; its loss stops the job. None: it is never lost."""
         # Weak references: the thread of the lease must not keep a dropped cell alive.
         worker, life = weakref.ref(self._worker), weakref.ref(self.cell.controller.life)
 
@@ -225,8 +224,9 @@ class TactileCellPlugin:
             if working is not None and watched is not None and working.running:
                 watched.cancel(reason)
 
-        lease = Lease(timeout_s, given=lambda _name: None, lost=lost)
-        lease.watch(warnings.warn)
+        lease = Lease(timeout_s or inf, given=lambda _name: None, lost=lost)
+        if timeout_s is not None:
+            lease.watch(warnings.warn)
         return lease
 
     def connect(self) -> None:
@@ -313,7 +313,7 @@ class TactileCellPlugin:
 
     def status(self) -> HostStatus:
         """Return the states of cell and grip, the live values, and the last answer."""
-        with self._calling():
+        with self._lease.calling("the host"):
             controller = self.cell.controller
             return HostStatus(
                 **asdict(controller.life.status),
@@ -324,7 +324,7 @@ class TactileCellPlugin:
 
     def alive(self) -> None:
         """Count as a call of the host, and do nothing else; see ``host_timeout_s``."""
-        with self._calling():
+        with self._lease.calling("the host"):
             return
 
     def taught(self) -> list[dict[str, Any]]:
@@ -497,7 +497,7 @@ class TactileCellPlugin:
 
         Raises CellStateError for a job of another plugin, as `result` and `cancel` do.
         """
-        with self._calling():
+        with self._lease.calling("the host"):
             return self._worker.status(job)
 
     def job(self, number: int | None = None) -> Job:
@@ -525,7 +525,7 @@ class TactileCellPlugin:
             If it was cancelled or aborted, see ``outcome``. ``__cause__`` is the error that ended
             it, a `CellStopped` after a cancel.
         """
-        with self._calling():
+        with self._lease.calling("the host"):
             ended = self._worker.wait(job, timeout_s)
         if ended.outcome is not JobOutcome.SUCCEEDED:
             raise JobFailed(ended) from ended.exception
@@ -742,8 +742,7 @@ class TactileCellPlugin:
         with self._ending:
             if self._closed:
                 return
-            if self._lease is not None:
-                self._lease.close()
+            self._lease.close()
             self._stop_jobs()
             self._worker.close(timeout_s)
             _write_remarks(self.cell.controller, self._remarks)
@@ -758,8 +757,7 @@ class TactileCellPlugin:
     def __del__(self) -> None:
         if self._closed or sys.is_finalizing():
             return
-        if self._lease is not None:
-            self._lease.end_watch()
+        self._lease.end_watch()
         self._stop_jobs()
         self._worker.end(self.cell.close)
         warnings.warn(
@@ -783,7 +781,7 @@ class TactileCellPlugin:
 
     def _finish(self, job: Job, timeout_s: float | None) -> Any:
         """Wait for a command and return its result, or raise its error."""
-        with self._calling():
+        with self._lease.calling("the host"):
             status = self._worker.wait(job, timeout_s)
         if status.exception is not None:
             raise status.exception
@@ -823,11 +821,8 @@ class TactileCellPlugin:
                     with suppress(CellError):  # `close` tries last, and raises it
                         file.write()
 
-        with self._calling(), self._starting:
+        with self._lease.calling("the host"), self._starting:
             return self._worker.start(task, recorded, accepted=accepted, on_change=on_change)
-
-    def _calling(self) -> AbstractContextManager[None]:
-        return nullcontext() if self._lease is None else self._lease.calling("the host")
 
 
 def cell_values(config: CellConfig, layout: "TaxelLayout") -> dict[str, Any]:
