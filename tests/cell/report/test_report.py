@@ -21,7 +21,6 @@ from cell.recording.reader import Recording, read_recording
 from cell.recording.recorder import Recorder
 from cell.report import recorded
 from cell.report.confusion import ConfusionTable, paper_table, score
-from cell.report.health import HealthRow, count, health
 from cell.report.page import (
     Page,
     colour,
@@ -36,8 +35,11 @@ from cell.report.page import (
 from cell.report.recorded import (
     MAX_SEQUENCES,
     Answered,
+    HealthRow,
     answers_of,
+    count,
     drawn_answers,
+    health,
     pressure_view,
     recorded_report,
 )
