@@ -30,7 +30,7 @@ from cell.control.records import pad_array
 from cell.control.zeroing import stored_zeros
 from cell.errors import CellStateError, ConfigError, RecordingError
 from cell.hand.client import HandProcess
-from cell.hand.connections import MISSING, HandConnections
+from cell.hand.connections import HandConnections
 from cell.hand.interface import Hand
 from cell.hand.local import SHARED_PROCESS, LocalHand, open_hand
 from cell.recording.recorder import Recorder
@@ -125,16 +125,6 @@ class Cell:
             raise CellStateError("the force loop runs in a process of its own; see `hand`")
         return self.controller.hand
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Notes for the operator about the force loop."""
-        return self.controller.hand.notes
-
-    @property
-    def missing(self) -> tuple[str, ...]:
-        """Lines of the hand that could not be opened, and why."""
-        return tuple(note.removeprefix(MISSING) for note in self.notes if note.startswith(MISSING))
-
     def health(self) -> dict[str, Any]:
         """Return the counters of both links, the loop and faults."""
         statistics, life = self.controller.hand.statistics, self.controller.life
@@ -177,7 +167,7 @@ def build_cell(
     simulated
         An existing simulated cell that outlives this one; by default a new one.
     partial
-        Whether one line of the hand may be missing, for diagnosis and release; see `Cell.missing`.
+        Whether one line of the hand may be missing, for diagnosis and release; see `Hand.missing`.
     note
         Gets messages for the operator, e.g. that the recording has stopped, from any thread.
 

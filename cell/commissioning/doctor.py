@@ -24,7 +24,6 @@ from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration
 from cell.control.zeroing import drive_text, stored_zeros
 from cell.errors import CellError
-from cell.hand.connections import MISSING
 from cell.hand.interface import FORCE_FROM_FRAMES
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import model_name
@@ -172,8 +171,7 @@ def _devices(config: CellConfig, named: str, earlier: Commissioning) -> Iterator
 
 def _loop(cell: Cell) -> Iterator[Finding]:
     """List the real-time settings that the system refused to the force loop."""
-    # A missing line is found by the check of its device.
-    notes = [note for note in cell.notes if not note.startswith(MISSING)]
+    notes = cell.controller.hand.notes
     if cell.realtime and not notes:
         yield check_result("force loop", "real time as configured", ok=True)
     yield from (check_result("force loop", *note.split(": ", 1)) for note in notes)

@@ -18,7 +18,6 @@ from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.errors import HandLost
 from cell.fault_catalogue import error_text
-from cell.hand.connections import MISSING
 from cell.hand.interface import Hand, LatestValues, OnPeriod
 from cell.hand.messages import (
     Boot,
@@ -255,6 +254,11 @@ class HandProcess:
         return self._loop.ready.notes
 
     @property
+    def missing(self) -> tuple[str, ...]:
+        """Lines that the process could not open; see `Hand`."""
+        return self._loop.ready.missing
+
+    @property
     def pid(self) -> int:
         """Process id of the loop."""
         return self._loop.pid
@@ -329,7 +333,7 @@ class HandProcess:
             # What is missing of the lines is no hindrance to let go.
             self._loop = LoopProcess(self._config, partial=True)
             self._heard_s = time.monotonic()
-            if not reboot and not any(note.startswith(MISSING) for note in self.notes):
+            if not reboot and not self.missing:
                 return
         self._call(Hand.clear_fault, reboot=reboot)
 

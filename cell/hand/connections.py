@@ -8,9 +8,6 @@ from gripper.errors import PortLost
 from tactile.can.bus import CanBus, MissingBus, close_bus
 from tactile.errors import BusNotOpened
 
-MISSING = "this line is missing: "
-"""Start of the note about a line that could not be opened."""
-
 
 class HandConnections:
     """Servo line and CAN bus of one hand; each can be missing, and be opened anew.
@@ -55,9 +52,9 @@ class HandConnections:
             raise PortLost("; ".join(both)) from error
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """The missing lines, and why they are missing."""
-        return tuple(MISSING + str(error) for error in self._missing.values())
+    def missing(self) -> tuple[str, ...]:
+        """Why each missing line could not be opened."""
+        return tuple(map(str, self._missing.values()))
 
     @property
     def servos_are_missing(self) -> bool:

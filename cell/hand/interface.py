@@ -160,6 +160,10 @@ class Hand(Protocol):
         """Messages for the operator about the loop; empty if all is normal."""
 
     @property
+    def missing(self) -> tuple[str, ...]:
+        """Why each line could not be opened that is missing since the hand was made."""
+
+    @property
     def statistics(self) -> HandStatistics:
         """Counters of loop and links; the last ones if the hand is lost."""
 

@@ -85,7 +85,7 @@ class LocalHand:
         )
         self.bus = gripper.bus
         self.layout, self.period_s = sensor.layout, gripper.settings.period_s
-        self.notes = (*notes, *config.notes)
+        self.notes, self.missing = (*notes, *config.notes), lines.missing
         self.latest = LatestValues()
         self._lines = lines
         self.start = gripper.start
@@ -229,7 +229,7 @@ def open_hand(
 ) -> LocalHand:
     """Open the ports of a config; nothing moves yet.
 
-    With ``partial`` one of both lines may be missing; a note of the hand names it. Raises
+    With ``partial`` one of both lines may be missing; `Hand.missing` names it. Raises
     gripper.errors.PortLost or tactile.errors.LinkFault if a port or bus cannot be opened; with
     ``partial`` only if both cannot be opened.
 
@@ -257,7 +257,7 @@ def open_hand(
         ],
     )
     try:
-        return LocalHand(config, lines, notes=(*notes, *lines.notes), clock=clock)
+        return LocalHand(config, lines, notes=notes, clock=clock)
     except BaseException:
         lines.close()
         raise

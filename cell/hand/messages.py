@@ -61,9 +61,10 @@ class EndRamp:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ready:
-    """The ports are open; `notes` are messages for the operator."""
+    """The ports are open; its values are those of the `Hand`."""
 
     notes: tuple[str, ...]
+    missing: tuple[str, ...] = ()
     statistics: HandStatistics
 
 

@@ -131,7 +131,7 @@ def main(connection_fd: int, stop_fd: int, parent: int) -> None:
     signal.signal(signal.SIGTERM, server.terminate)
     stop_collecting()
     try:
-        outbox.post(Ready(notes=hand.notes, statistics=hand.statistics))
+        outbox.post(Ready(notes=hand.notes, missing=hand.missing, statistics=hand.statistics))
         server.serve()
     finally:
         server.end()

@@ -16,7 +16,7 @@ from cell.control.plan import Pose
 from cell.control.positioner import CallbackPositioner, OperatorPositioner, SimulatedPositioner
 from cell.control.states import CellState
 from cell.errors import CellError, ConfigError, PositionerError
-from cell.hand.connections import MISSING, HandConnections
+from cell.hand.connections import HandConnections
 from cell.hand.local import sensor_settings
 from cell.interfaces.cli.app import app
 from cell.runtime import simulate
@@ -387,22 +387,22 @@ def test_one_line_may_be_missing_where_that_is_allowed_but_not_both(openers) -> 
     servos, can = openers
     servos.side_effect = NO_PORT
     lines = HandConnections(servos, can, partial=True)
-    assert lines.notes == (f"{MISSING}no port",)
+    assert lines.missing == ("no port",)
     for use in (lambda: lines.stream.write(b""), lambda: lines.stream.read(1, 0.0)):
         with pytest.raises(PortLost, match="no port"):
             use()
     servos.side_effect = None
     assert lines.reopen_servos() is servos.return_value
-    assert (lines.notes, lines.servos_are_missing) == ((), False)
+    assert (lines.missing, lines.servos_are_missing) == ((), False)
 
     can.side_effect = NO_BUS
     lines = HandConnections(servos, can, partial=True)
-    assert lines.notes == (f"{MISSING}no bus",)
+    assert lines.missing == ("no bus",)
     with pytest.raises(BusNotOpened):
         lines.reopen_can()
     can.side_effect = None
     assert lines.reopen_can() is can.return_value
-    assert lines.notes == ()
+    assert lines.missing == ()
     lines.close()
     assert servos.return_value.close.call_count == can.return_value.shutdown.call_count == 1
 

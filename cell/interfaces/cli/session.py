@@ -139,7 +139,7 @@ def clear_command(config_file: Path) -> str:
 def cell_of_earlier_run(config: CellConfig) -> Iterator[Cell]:
     """Build a cell without starting it; a line may be missing, and no object is moved."""
     cell = build_cell(config, mover=lambda _pose: False, ask=ask, partial=True)
-    for text in cell.missing:
+    for text in cell.controller.hand.missing:
         print_note(f"{text}; steps that need it are left out")
     try:
         with stopping(cell.controller.life.interrupt, end_within_s=END_WITHIN_S):
@@ -306,7 +306,8 @@ def _closing(plugin: TactileCellPlugin) -> Iterator[None]:
 
 def _notes(plugin: TactileCellPlugin) -> list[str]:
     """Return the state of the force loop, and why there is no self-zero."""
-    return [*filter(None, (*plugin.cell.notes, plugin.cell.controller.zeroing.note))]
+    controller = plugin.cell.controller
+    return [*filter(None, (*controller.hand.notes, controller.zeroing.note))]
 
 
 def _grip_left(plugin: TactileCellPlugin, error: BaseException) -> str:

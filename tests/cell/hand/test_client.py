@@ -179,10 +179,11 @@ class Loop(LoopProcess):
     """The client's end of a line; the server carries each request out as soon as it is sent."""
 
     made: ClassVar[list["Loop"]] = []
+    missing: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, _config: CellConfig, *, partial: bool = False) -> None:
         del partial
-        self.ready = Ready(notes=("a note",), statistics=HAND_STATISTICS)
+        self.ready = Ready(notes=("a note",), missing=self.missing, statistics=HAND_STATISTICS)
         self.lost: HandLost | None = None
         self._watchdog_ms, self._stopping, self._stop_fd = 100.0, threading.RLock(), -1
         self._process: Any = Mock(pid=4711, returncode=-9)
@@ -296,7 +297,8 @@ def test_a_fault_that_nobody_asked_for_does_not_spoil_the_end(loop, hand) -> Non
     assert [request.method for request in loop.sent] == ["shutdown"] * 2
 
 
-def test_a_lost_process_is_told_until_it_is_cleared(loop, hand) -> None:
+@pytest.mark.parametrize("missing", [(), ("no port",)])
+def test_a_lost_process_is_told_until_it_is_cleared(loop, hand, missing, monkeypatch) -> None:
     loop.line.hand.grasped = [make_cycle(), loop.line.far.close]
     with pytest.raises(HandLost, match=r"\(pid 4711\) was ended by SIGKILL; a part may still be"):
         hand.grasp(RAMP, nothing)
@@ -306,8 +308,10 @@ def test_a_lost_process_is_told_until_it_is_cleared(loop, hand) -> None:
             call()
     hand.stop_sensor()
     assert hand.shutdown() == ""
+    monkeypatch.setattr(Loop, "missing", missing)
     hand.clear_fault(reboot=False)
-    assert len(Loop.made) == 2
+    _, again = Loop.made
+    assert [request.method for request in again.sent] == ["clear_fault"] * len(missing)
     hand.start()
 
 

@@ -251,7 +251,7 @@ def test_a_job_ends_early_unless_its_recording_alone_fails_at_the_end(
     plugin = Mock(recording_path="r.mcap")
     plugin.close = lambda: fail(at_the_end)
     plugin.cell.health.return_value = {}
-    plugin.cell.notes, plugin.cell.realtime = (), False
+    plugin.cell.controller.hand.notes, plugin.cell.realtime = (), False
     plugin.cell.controller.zeroing.note = ""
     plugin.status.return_value = Mock(state="IDLE")
     monkeypatch.setattr(session, "TactileCellPlugin", lambda *_arguments, **_options: plugin)
