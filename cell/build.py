@@ -298,8 +298,7 @@ def _positioner(
                 )
             return OperatorPositioner(ask)
         case "simulated":
-            if placer is None:
-                raise ConfigError("positioner.kind is simulated, but there is no simulated cell")
+            assert placer is not None  # the config has checked it
             return SimulatedPositioner(placer)
         case "axes":
             return _axes(config, simulated, placer, ask, undo, phase=phase)

@@ -223,10 +223,6 @@ class Collection:
         texts = [record.outcome.short for record in self.records if record.outcome.short]
         return f"{len(texts)} of {self.n_planned} ramps ended early: {texts[-1]}" if texts else ""
 
-    def __str__(self) -> str:
-        missed = f" ({self.n_missed} found no part)" if self.n_missed else ""
-        return f"{len(self.records)} of {self.n_planned} grasps of {self.label}{missed}"
-
     @one_blas_thread()
     def fill(
         self,

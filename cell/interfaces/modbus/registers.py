@@ -216,10 +216,7 @@ def input_registers(
         (REFUSED, result != 0),
         (FAULT, status.fault is not None),
         (HOLDING, status.holding),
-        (
-            NO_PART,
-            status.grasp == GraspState.NO_PART_FOUND or not held,
-        ),
+        (NO_PART, status.grasp == GraspState.NO_PART_FOUND or not held),
         (LOST, status.grasp == GraspState.PART_LOST),
         (UNNAMED, part.label == UNKNOWN or same is False),
         (NEEDS_RESET, status.needs_reset),

@@ -175,15 +175,9 @@ def _unit(config: CellConfig, config_file: Path | None, options: tuple[str, ...]
 def program() -> list[str]:
     """Return the command that starts this program, with whole paths."""
     installed = Path(sys.executable).with_name(NAME)
-    return (
-        [str(installed)]
-        if installed.exists()
-        else [
-            sys.executable,
-            "-c",
-            "from cell.interfaces.cli import main; main()",
-        ]
-    )
+    if installed.exists():
+        return [str(installed)]
+    return [sys.executable, "-c", "from cell.interfaces.cli import main; main()"]
 
 
 def closed_to_others(path: Path) -> Path | None:
