@@ -15,6 +15,9 @@ from motion import errors as motion
 from recognition import errors as recognition
 from tactile import errors as tactile
 
+EXPECTED_ERRORS = (cell.CellError, gripper.GripperError, tactile.TactileError)
+"""Errors of the cell and its hand that are raised on purpose; any other one is a defect."""
+
 HELD = "Kept: goals are frozen."
 LIMP = "Without torque: where the fingers are is not known."
 LESS = "Kept with less current."

@@ -18,10 +18,8 @@ from cell.commissioning.bench import CONFIG_NAME, Bench
 from cell.commissioning.findings import STORE_NAME, Notes, ProposedChange, read_commissioned
 from cell.config.file import config_text, schema_text
 from cell.errors import CellError
-from cell.fault_catalogue import error_text
+from cell.fault_catalogue import EXPECTED_ERRORS, error_text
 from cell.files import COMMISSIONING, write_json, write_text
-from gripper.errors import GripperError
-from tactile.errors import TactileError
 
 RECORD_NAME = "commissioning.md"
 """File in the cell's folder: each step, finding, value and write, to sign and file."""
@@ -129,7 +127,7 @@ def carry_out(step: Step, bench: Bench, dialog: Dialog) -> Notes:
         step.run(bench, dialog, notes)
     except WizardAborted:
         raise
-    except (CellError, GripperError, TactileError) as error:
+    except EXPECTED_ERRORS as error:
         # A pulled cable, a full disk: after the repair the step runs again.
         notes.fail(error_text(error))
     finally:

@@ -24,7 +24,6 @@ from starlette.websockets import WebSocketDisconnect
 from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.errors import (
-    CellError,
     CellStateError,
     ConfigError,
     HeldByClient,
@@ -33,7 +32,7 @@ from cell.errors import (
     PlanRefused,
     RequestRefused,
 )
-from cell.fault_catalogue import CATALOGUE, Refusal
+from cell.fault_catalogue import CATALOGUE, EXPECTED_ERRORS, Refusal
 from cell.files import MAX_TEXT
 from cell.interfaces.access import is_loopback, read_secret, same_secret, view_token
 from cell.interfaces.http_server import REMEDIES, REQUEST_BYTES, HttpServer, refusal
@@ -42,8 +41,6 @@ from cell.interfaces.opening import page_address, qr_code, view_note
 from cell.interfaces.page import mount_page
 from cell.runtime.goals import goal_schema
 from cell.service.service import Service, plain_data, state_values
-from gripper.errors import GripperError
-from tactile.errors import TactileError
 
 _SUBPROTOCOL = "tactile-cell"
 """Subprotocol of the WebSocket."""
@@ -59,8 +56,6 @@ _STATUS = {
 """HTTP status of refusals; 500 for all other errors."""
 _CAUSES = {401: "token", 404: "path", 405: "method"}
 """Causes of `REMEDIES` for refusals of the framework, by status."""
-_ERRORS = (CellError, GripperError, TactileError, OSError)
-"""Expected errors of the cell."""
 RATE_HZ = 30.0
 """Messages per second to one WebSocket."""
 Text = Annotated[str, Field(max_length=REQUEST_BYTES)]
@@ -292,8 +287,9 @@ class WebInterface(HttpServer):
             status: {"model": RefusalBody} for status in (401, 403, 404, 409, 413, 422, 500)
         }
         app = FastAPI(title="tactile-cell", docs_url=None, redoc_url=None, responses=refusals)
-        for kind in (StarletteHTTPException, RequestValidationError, *_ERRORS, Exception):
+        for kind in (*EXPECTED_ERRORS, OSError, StarletteHTTPException, RequestValidationError):
             app.add_exception_handler(kind, _refused)
+        app.add_exception_handler(Exception, _refused)
         router = APIRouter(prefix="/api", dependencies=[Depends(self.authorize)])
         paths: tuple[tuple[str, str, Callable[..., Any]], ...] = (
             ("/info", "GET", self.info),

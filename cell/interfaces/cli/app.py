@@ -10,11 +10,9 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from cell.errors import CellError, ConfigError
-from cell.fault_catalogue import error_text, fault_number
+from cell.errors import ConfigError
+from cell.fault_catalogue import EXPECTED_ERRORS, error_text, fault_number
 from cell.interfaces.cli.signals import INTERRUPTED
-from gripper.errors import GripperError
-from tactile.errors import TactileError
 
 _ENDED_BY_CTRL_C = 130
 """Exit code of typer after Ctrl-C; typer prints no message."""
@@ -174,7 +172,7 @@ def main() -> None:
         raise
     except ConfigError as error:
         _fail(str(error), 2)
-    except (CellError, GripperError, TactileError) as error:
+    except EXPECTED_ERRORS as error:
         _fail(str(error), 1, fault=fault_number(error))
     except OSError as error:
         # For example a full disk, or too many open files: only the system's message is known.

@@ -26,7 +26,7 @@ from cell.errors import (
     PositionerFault,
     RecordingError,
 )
-from cell.fault_catalogue import fault_number
+from cell.fault_catalogue import EXPECTED_ERRORS, fault_number
 from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
 from cell.interfaces.cli.terminal import (
     ask,
@@ -44,7 +44,6 @@ from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.worker import Job
 from gripper.errors import (
     FeedbackImplausible,
-    GripperError,
     LinkTooSlow,
     ServoFault,
     ServoMissing,
@@ -52,7 +51,6 @@ from gripper.errors import (
     fingers_left,
 )
 from recognition.grasp import PadArray
-from tactile.errors import TactileError
 
 
 def cell_config(
@@ -236,7 +234,7 @@ def running_cell(
                         print_note(note)
                 yield RunningCell(plugin, folder, progress, json_file)
             done = True
-    except (CellError, GripperError, TactileError, OSError) as error:
+    except (*EXPECTED_ERRORS, OSError) as error:
         if done and isinstance(error, RecordingError) and error.__context__ is None:
             return
         recording = plugin.recording_path

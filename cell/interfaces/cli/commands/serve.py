@@ -17,6 +17,7 @@ from cell.config.file import changed_config
 from cell.config.serve import ALL_CLOSED
 from cell.control.states import CellState
 from cell.errors import CellError, CellStopped, ConfigError
+from cell.fault_catalogue import EXPECTED_ERRORS
 from cell.installation import missing_note
 from cell.interfaces.cli import options
 from cell.interfaces.cli.session import (
@@ -30,8 +31,6 @@ from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
 from cell.interfaces.cli.terminal import err, print_note, print_page, print_view
 from cell.interfaces.opening import open_interfaces, page_address, view_note, warnings
 from cell.service.service import Service, open_service
-from gripper.errors import GripperError
-from tactile.errors import TactileError
 
 _FEEDS = 4
 """Messages to the watchdog within its time-out: three may be lost or late."""
@@ -213,7 +212,7 @@ def _connect(service: Service) -> None:
     """Start the cell; a fault is latched, so that clients see it and can clear it."""
     try:
         service.plugin.connect()
-    except (CellError, GripperError, TactileError) as error:
+    except EXPECTED_ERRORS as error:
         if service.plugin.status().state == CellState.STOPPED:
             raise
         print_note(f"the cell is not ready: {error}")
