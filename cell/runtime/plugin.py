@@ -327,11 +327,16 @@ class TactileCellPlugin:
         with self._lease.calling("the host"):
             return
 
+    @property
+    def taught_revision(self) -> int:
+        """Changes of what is taught so far."""
+        return self.model.revision
+
     def taught(self) -> list[dict[str, Any]]:
         """Return the taught objects as plain data: available grasps, shape and size in mm.
 
-        Another thread reads missing shapes; they are None until then. `TaughtModel.revision`
-        changes with each.
+        Another thread reads missing shapes; they are None until then. `taught_revision` changes
+        with each.
         """
         with self._starting:
             if not self.model.shapes_read and not (self._reading and self._reading.is_alive()):
