@@ -38,8 +38,7 @@ from cell.runtime.goals import (
     ZeroGoal,
     checked_goal,
 )
-from cell.runtime.lease import Lease
-from cell.runtime.worker import SIGNAL_LOOK_S, CellWorker, Job, JobFailed, JobOutcome, Report
+from cell.runtime.worker import SIGNAL_LOOK_S, CellWorker, Job, JobFailed, JobOutcome, Lease, Report
 from gripper.errors import ServoFault
 
 if TYPE_CHECKING:

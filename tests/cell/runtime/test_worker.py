@@ -18,9 +18,8 @@ from cell.recording import retention
 from cell.recording.reader import read_recording
 from cell.runtime.goals import TeachGoal
 from cell.runtime.health import health_values
-from cell.runtime.lease import Lease
 from cell.runtime.plugin import TactileCellPlugin
-from cell.runtime.worker import JOB_SILENT_S, CellWorker, Job, JobFailed, JobOutcome, Report
+from cell.runtime.worker import JOB_SILENT_S, CellWorker, Job, JobFailed, JobOutcome, Lease, Report
 from tests.cell.cells import quick_config, small_config
 from tests.cell.recording.test_recording import fill_disk_after
 from tests.cell.served import LIMIT_S, until
