@@ -3,14 +3,17 @@
 import json
 import socket
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import asdict
 from math import radians
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
+from cell.build import _axes
+from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.axes import AxesPositioner
 from cell.control.plan import GraspStep, Pose
@@ -23,7 +26,7 @@ from cell.control.positioner import (
 from cell.control.states import CellState
 from cell.errors import CellStateError, PositionerError, PositionerFault
 from gripper.values.state import GripperPhase
-from tests.cell.cells import MakeBench, once, quick_config
+from tests.cell.cells import REAL, MakeBench, once, quick_config
 from tests.faults.campaign import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 from tests.values import raising
 
@@ -144,6 +147,25 @@ def test_a_host_that_brings_parts_to_their_places_leaves_the_axes_to_be_seen(
     make_bench: MakeBench, config: CellConfig
 ) -> None:
     assert make_bench(config, places=lambda _destination: None).cell.axes is not None
+
+
+def test_axes_of_a_real_cell_have_a_bus_and_a_port_and_objects_are_brought(monkeypatch) -> None:
+    monkeypatch.setattr("cell.build.open_bus", bus := Mock())
+    monkeypatch.setattr("cell.build.close_bus", closed := Mock())
+    monkeypatch.setattr("cell.build.SerialStream", port := Mock())
+    axes = [X_AXIS, ROTATION_AXIS, WRIST | {"port": "/dev/ttyUSB4"}]
+    can = {"interface": "socketcan", "channel": "can1"}
+    axes_on_ports = {"positioner": {"kind": "axes", "can": can, "axes": axes}}
+    real = changed_config(CellConfig(), REAL | CHANGES | axes_on_ports)
+    placer, idle = Mock(), lambda: GripperPhase.IDLE
+    with ExitStack() as undo:
+        positioner = _axes(real, None, placer, None, undo, phase=idle)
+        assert bus.call_args.args == ("socketcan", "can1")
+        assert port.call_args.args[0] == "/dev/ttyUSB4"
+        positioner.present("box")
+        placer.place.assert_called_once_with("box", Pose())
+    port.return_value.close.assert_called_once()
+    closed.assert_called_once_with(bus.return_value)
 
 
 def test_the_axes_carry_an_object_out_of_the_pads_and_back_until_it_is_taken_off(bench) -> None:

@@ -18,7 +18,14 @@ from cell.commissioning.engine import WizardAborted, leave
 from cell.commissioning.findings import ProposedChange
 from cell.control.positioner import PatientCaller
 from cell.control.states import CellState
-from cell.errors import CellError, CellStopped, ModelError, PositionerError, RecordingError
+from cell.errors import (
+    CellError,
+    CellStopped,
+    ModelError,
+    PartInGrip,
+    PositionerError,
+    RecordingError,
+)
 from cell.interfaces.cli import session, terminal as asking
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands.commission import TerminalDialog
@@ -236,6 +243,7 @@ def test_an_answer_from_a_pipe_is_read_line_by_line(monkeypatch, capsys) -> None
         (None, [ModelError, RecordingError], "RecordingError"),
         (RecordingError, [], "RecordingError"),
         (ModelError, [RecordingError], "ModelError"),  # the first error of a job ends it
+        (PartInGrip, [], "PartInGrip"),
     ],
 )
 def test_a_job_ends_early_unless_its_recording_alone_fails_at_the_end(
@@ -262,6 +270,7 @@ def test_a_job_ends_early_unless_its_recording_alone_fails_at_the_end(
                 raise in_the_job(in_the_job.__name__)
     except CellError as error:
         ended, left, release = str(error).split("\n")
-        assert left == "the grip is kept; recording so far: r.mcap"
+        kept = "nothing was moved" if in_the_job is PartInGrip else "the grip is kept"
+        assert left == f"{kept}; recording so far: r.mcap"
         assert release.endswith(f"t: tactile-cell hand release --config '{file}' --confirm")
     assert ended == told
