@@ -308,6 +308,7 @@ READ, WRITE = 0x02, 0x03
 UNKNOWN_INSTRUCTION = 0x77
 RESULT_INSTRUCTION, RESULT_CRC, RESULT_RANGE = 2, 3, 4
 RESULT_LENGTH, RESULT_LIMIT, RESULT_ACCESS = 5, 6, 7
+PROFILE = table.RegisterBlock(table.PROFILE_ACCELERATION, table.PROFILE_VELOCITY)
 LED_ON = b"\x41\x00\x01"
 """Address 65 and the value 1."""
 
@@ -354,9 +355,7 @@ def test_a_sync_read_tells_what_single_reads_tell(servos: Any) -> None:
     with servos.restoring(table.PROFILE_ACCELERATION, table.PROFILE_VELOCITY):
         for servo_id in servos.ids:
             servos.bus.write(servo_id, table.PROFILE_VELOCITY, 100 + servo_id)
-        answer = servos.bus.sync_read(
-            servos.ids, table.RegisterBlock(table.PROFILE_ACCELERATION, table.PROFILE_VELOCITY)
-        )
+        answer = servos.bus.sync_read(servos.ids, PROFILE)
         assert list(answer) == list(servos.ids)
         for servo_id in servos.ids:
             assert answer[servo_id]["profile_velocity"] == 100 + servo_id
@@ -380,9 +379,7 @@ def test_a_sync_read_with_an_absent_servo_gives_nothing(servos: Any) -> None:
 def test_a_sync_write_reaches_all(servos: Any) -> None:
     with servos.restoring(table.PROFILE_ACCELERATION, table.PROFILE_VELOCITY):
         wanted = {servo_id: (servo_id, 200 + servo_id) for servo_id in servos.ids}
-        servos.bus.sync_write(
-            wanted, table.RegisterBlock(table.PROFILE_ACCELERATION, table.PROFILE_VELOCITY)
-        )
+        servos.bus.sync_write(wanted, PROFILE)
         for servo_id, (acceleration, velocity) in wanted.items():
             assert servos.bus.read(servo_id, table.PROFILE_ACCELERATION) == acceleration
             assert servos.bus.read(servo_id, table.PROFILE_VELOCITY) == velocity
@@ -552,13 +549,6 @@ def test_what_cannot_be_done_is_aborted_with_its_code(unit, why: str) -> None:
 READY = ("SWITCH ON DISABLED", "READY TO SWITCH ON")
 
 
-@pytest.fixture
-def moving_drive(drive: Any) -> Any:
-    if not drive.may_move:
-        pytest.skip("needs motion: --allow-motion")
-    return drive
-
-
 def test_it_is_a_drive_with_the_modes_that_are_needed(drive: Any) -> None:
     assert drive.device._read("Device type") & 0xFFFF == 402
     modes = drive.device._read("Supported drive modes")
@@ -609,8 +599,9 @@ def test_without_power_stage_it_goes_between_two_states(drive: Any) -> None:
 
 
 @pytest.mark.slow
-def test_it_goes_to_both_ends_and_stops_quickly_on_the_way(moving_drive: Any) -> None:
-    drive = moving_drive
+def test_it_goes_to_both_ends_and_stops_quickly_on_the_way(drive: Any) -> None:
+    if not drive.may_move:
+        pytest.skip("needs motion: --allow-motion")
     axis = drive.device
     near = axis.settings.window
     middle, way = 0.5 * (drive.low + drive.high), 0.4 * (drive.high - drive.low)

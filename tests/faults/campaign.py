@@ -36,7 +36,7 @@ from pytest_tactile_cell.process import CellProcess
 from pytest_tactile_cell.virtual import VirtualCell
 from simulator.can.drive import SimulatedDrive
 from tactile.errors import TactileError
-from tests.cell.cells import COARSE_PADS, Bench, once
+from tests.cell.cells import Bench, once, quick_config
 from tests.faults.invariants import InvariantMonitor
 from tests.hil.program import CONFIG, SEQUENCE, child_of, ended, first
 from tests.values import raising
@@ -117,18 +117,11 @@ class FaultRow:
 def campaign_config(changes: Mapping[str, Any] | None = None) -> CellConfig:
     """Return a config with coarse pads and short jobs; changes by dotted path."""
     short_jobs = {
-        "self_zero": "on_demand",
         "gripper.aperture_open_mm": 11.0,
-        "tactile.layout": COARSE_PADS,
-        "tactile.tare_frames": 10,
         "sequence.ramp": {"kind": "linear", "rate_n_s": 10.0, "hold_s": 0.3},
-        "simulator.objects": [
-            {"label": "ball", "shape": "sphere:diameter=9.5mm"},
-            {"label": "box", "shape": "box:length=15.9mm,width=10mm,height=10mm"},
-        ],
         "simulator.noise_level": 0.5,
     }
-    return changed_config(CellConfig(), short_jobs | dict(changes or {}))
+    return changed_config(quick_config(), short_jobs | dict(changes or {}))
 
 
 @dataclass(frozen=True, kw_only=True)

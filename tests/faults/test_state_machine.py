@@ -28,7 +28,7 @@ from pytest_tactile_cell.virtual import VirtualCell
 from simulator.errors import SimulatorError
 from simulator.faults.injector import check_fault
 from simulator.faults.vocabulary import VOCABULARY, FaultEntry, Number
-from tests.cell.cells import COARSE_PADS, once
+from tests.cell.cells import once
 from tests.faults.campaign import PRODUCT_ERRORS, campaign_config
 from tests.faults.invariants import (
     FrameWitness,
@@ -249,7 +249,6 @@ _UNTRUSTED = frozenset(
 
 
 _SHORT_COMMANDS = {
-    "tactile.layout": COARSE_PADS,
     "gripper.loop_rate_hz": 100.0,
     "gripper.aperture_open_mm": 12.0,
     "gripper.approach_speed_mm_s": 20.0,

@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from math import asin, radians, sin
 from types import SimpleNamespace
@@ -37,10 +36,9 @@ from gripper.servos.goal_limits import GoalWriter
 from gripper.settings import largest_setpoint_n
 from simulator.can.control_unit import ControlUnitSettings
 from simulator.can.drive import DriveMount
-from simulator.cell import SimulatedCell
 from simulator.devices import SimulatedDrive
 from simulator.servo.mechanics import RackLinkage, ServoMount
-from simulator.settings import SimulatedServoSettings, SimulatorSettings
+from simulator.settings import SimulatedServoSettings
 from simulator.world.pads import NoiseModel, SensorLaw
 from tactile.can.bus import CanBus
 from tactile.errors import BusNotOpened
@@ -190,19 +188,10 @@ def quiet(make_stand: MakeStand) -> Stand:
     return make_stand(noise=NoiseModel(level=0.3))
 
 
-@pytest.fixture(scope="module")
-def grasped(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stand, Notes]]:
-    """A cell after its first grasp, whose pads were checked with weights, and what was found."""
-    noise = NoiseModel(level=0.3)
-    settings = SimulatorSettings(layout=pinch_layout(), aperture_m=0.014, noise=noise)
-    with SimulatedCell(settings) as cell:
-        stand = Stand(cell, tmp_path_factory.mktemp("grasped"))
-        stand.bench.values["pads_law"] = {"factor": 1.0}
-        yield stand, stand.run(FIRST_FORCE, first_force__most=lambda: None)
-
-
-def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(grasped) -> None:
-    stand, finding = grasped
+def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(quiet) -> None:
+    stand, bench = quiet, quiet.bench
+    bench.values["pads_law"] = {"factor": 1.0}  # the pads were checked with weights
+    finding = stand.run(FIRST_FORCE, first_force__most=lambda: None)
     assert finding.status is Verdict.PASS, finding.lines
     most = next(q for q in stand.person.script.questions if q.key == "first_force.most")
     assert 4.0 < most.default < most.limits[1] <= largest_setpoint_n(15.0)
@@ -213,10 +202,7 @@ def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(grasped) -> N
     assert stand.torques == [0, 0]
     assert len(stand.person.script.writes) == 4
     assert abs(finding.values["meet_mm"]) < 1.0
-
-
-def test_what_it_measures_of_the_servos_is_kept_for_the_cell(grasped) -> None:
-    bench = grasped[0].bench
+    # What it measures of the servos is kept for the cell.
     folder = bench.folder / bench.config.recording.directory
     drives = stored_zeros(bench.config, folder, new_hand=False).stored_drives({1: 0, 2: 0})
     assert set(drives) == {1, 2}
