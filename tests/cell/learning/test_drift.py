@@ -112,12 +112,7 @@ def test_others_stay_as_they_are() -> None:
 def test_recorded_grasps_are_followed_in_the_order_of_time() -> None:
     times = {"b": 30, "c": 40, "a": 20, "d": 10}
     grasps = [replace(plain_grasp("ball"), source=k, start_ms=t) for k, t in times.items()]
-    model: Any = SimpleNamespace(
-        recognizer=Follower(),
-        trainer_name="force_ramp",
-        pads=grasps[0].pads,
-        path="parts.model.npz",
-    )
+    model: Any = SimpleNamespace(recognizer=Follower(), pads=grasps[0].pads)
     answers = identify_recorded(model, grasps, follow=True)
     drifts = [drift for *_, drift in answers if drift]
     assert [drift.n_followed for drift in drifts] == [2, 3, 1, 0]

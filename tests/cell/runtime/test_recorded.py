@@ -108,12 +108,8 @@ def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(taught, tmp
 
     def gauge(drift: Drift) -> Drift:
         outcome = SimpleNamespace(result=GraspResult.FORCE_REACHED, short="")
-        records = iter([SimpleNamespace(grasp=drift.apply(g), outcome=outcome) for g in balls])
-        controller: Any = SimpleNamespace(
-            check_plan=lambda *_: None,
-            moves=SimpleNamespace(present=lambda _label: None),
-            grasp=lambda *_, **__: next(records),
-        )
+        records = [SimpleNamespace(grasp=drift.apply(g), outcome=outcome) for g in balls]
+        controller = Mock(grasp=Mock(side_effect=records))
         file: Any = tasks.ModelFile(model, path)
         return tasks.Tasks(controller, file).gauge(goal, told.append)
 
