@@ -25,7 +25,7 @@ from cell.control.axes import si_per_unit
 from cell.control.plan import Pose
 from cell.errors import CellStateError, ConfigError, PositionerError, RequestRefused, raised_as
 from cell.installation import extra
-from gripper.dynamixel.models import MODELS, ServoModel
+from gripper.dynamixel.models import MODELS
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
 from simulator.can.control_unit import ControlUnitSettings
@@ -35,7 +35,6 @@ from simulator.errors import PartGripped, SimulatorError
 from simulator.faults.injector import check_fault
 from simulator.faults.vocabulary import VOCABULARY
 from simulator.realtime.process import CellRequests
-from simulator.servo.gearing import GEARINGS, Gearing, drawn_gearing
 from simulator.servo.mechanics import (
     LARGEST_LINK_ANGLE_RAD,
     FingerLinkage,
@@ -97,7 +96,7 @@ def simulator_settings(config: CellConfig) -> SimulatorSettings:
                     servo_id=servo.id,
                     model=MODELS[servo.model],
                     mount=ServoMount(direction=servo.direction, zero_raw=servo.zero_pulse),
-                    gearing=_gearing(settings.servos.gearing, MODELS[servo.model]),
+                    gearing=settings.servos.gearing,
                     friction_factor=settings.servos.friction[finger],
                     kt_factor=settings.servos.kt[finger],
                     overload_rule=OverloadRule(settings.servos.overload),
@@ -137,11 +136,6 @@ def simulator_settings(config: CellConfig) -> SimulatorSettings:
             axes_can_bitrate=config.positioner.can.bitrate,
             faults=settings.faults,
         )
-
-
-def _gearing(name: str, model: ServoModel) -> Gearing | None:
-    """Return a gearing by its name in the config; None: drawn by the seed of the cell."""
-    return drawn_gearing(model, None) if name == "typical" else GEARINGS.get(name)
 
 
 def _mounts(config: PositionerConfig) -> dict[str, DriveMount | WristMount]:

@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 from gripper.dynamixel.models import XM430_W350, ServoModel
 from simulator.boards.site import SimulatedBoards
 from simulator.can.control_unit import ControlUnitSettings
 from simulator.can.drive import DriveMount
-from simulator.servo.gearing import IDEAL_GEARING, Gearing, drawn_gearing
+from simulator.servo.gearing import data_sheet_drive, drawn_drive
 from simulator.servo.mechanics import FingerLinkage, ParallelogramLinkage, ServoMount
 from simulator.servo.motor import OverloadRule, ServoMotor, ServoNoise
 from simulator.servo.wrist import WristMount
@@ -25,9 +26,9 @@ class SimulatedServoSettings:
     """The servo model."""
     mount: ServoMount = field(default_factory=ServoMount)
     """Direction and zero."""
-    gearing: Gearing | None = None
-    """Its torque, friction, inertia and backlash; None: drawn by the cell's seed from the spread of
-    its model. A servo with `IDEAL_GEARING` measures without noise."""
+    gearing: Literal["typical", "drawn", "ideal"] = "drawn"
+    """Its torque, friction and inertia: of a typical servo, drawn by the cell's seed from the
+    spread of its model, or of the data sheet. An ideal servo measures without noise."""
     friction_factor: float = 1.0
     """Factor on its friction without load."""
     kt_factor: float = 1.0
@@ -38,9 +39,11 @@ class SimulatedServoSettings:
     def motor(self, seed: int) -> ServoMotor:
         """Return a new motor of this servo in a cell with a seed."""
         drawn_by = f"{seed} servo {self.servo_id}"
-        gearing = self.gearing or drawn_gearing(self.model, drawn_by)
-        noise = None if gearing is IDEAL_GEARING else ServoNoise(drawn_by)
-        motor = ServoMotor(self.model, gearing=gearing, noise=noise)
+        if self.gearing == "ideal":
+            motor = ServoMotor(self.model, figures=data_sheet_drive(self.model))
+        else:
+            drive = drawn_drive(self.model, drawn_by if self.gearing == "drawn" else None)
+            motor = ServoMotor(self.model, figures=drive, noise=ServoNoise(drawn_by))
         own = ("friction_factor", "kt_factor", "overload_rule")
         for name in own:
             setattr(motor, name, getattr(self, name))

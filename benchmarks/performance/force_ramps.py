@@ -40,7 +40,7 @@ from gripper.values.state import Cycle, GripperPhase
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
-from simulator.servo.gearing import Gearing, drawn_gearing
+from simulator.servo.gearing import Drive, drawn_drive
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, ServoMount
 from simulator.servo.motor import ServoMotor
 
@@ -173,8 +173,8 @@ class Rig:
         Part, noise and force messages of the sensor as for `PadForces`.
     servos, seed
         Seeds of the servos, None for typical ones, and of the noise.
-    gearing, factors
-        Gearing instead of the drawn ones, and factors on friction and torque.
+    figures, factors
+        Motor and gearing instead of the drawn ones, and factors on friction and torque.
     supervised
         False where the gripper does not take a part for lost because its fingers run ahead: it
         does so under laws whose force arrives with a knee.
@@ -190,7 +190,7 @@ class Rig:
         servos: int | None,
         seed: int,
         rate_hz: float | None = None,
-        gearing: Gearing | None = None,
+        figures: Drive | None = None,
         factors: tuple[float, float] = (1.0, 1.0),
         supervised: bool = True,
         **settings: Any,
@@ -198,8 +198,8 @@ class Rig:
         self._part, self._relaxed_n = part, 0.0
         clock = VirtualClock()
         seeds = [None if servos is None else f"{servos} {i}" for i in (0, 1)]
-        drawn = (gearing or drawn_gearing(XM430_W350, one) for one in seeds)
-        motors = [ServoMotor(XM430_W350, gearing=one) for one in drawn]
+        drawn = (figures or drawn_drive(XM430_W350, one) for one in seeds)
+        motors = [ServoMotor(XM430_W350, figures=one) for one in drawn]
         for motor in motors:
             motor.friction_factor, motor.kt_factor = factors
         directions, open_m = (1, -1), part.width_m + _FREE_M

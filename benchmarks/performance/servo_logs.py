@@ -25,7 +25,7 @@ from benchmarks._measure import line
 from gripper.dynamixel.models import MODELS, XM430_W350, OperatingMode, ServoModel
 from simulator.servo.control_table import is_x330
 from simulator.servo.device import SimulatedServo
-from simulator.servo.gearing import drawn_gearing
+from simulator.servo.gearing import drawn_drive
 from simulator.servo.mechanics import velocity_after
 from simulator.servo.motor import ServoMotor
 
@@ -128,7 +128,7 @@ class Bench:
     """A simulated servo, with its horn turned as a log says or with the weight of its pendulum."""
 
     def __init__(self, log: Log) -> None:
-        self.motor = ServoMotor(log.model, gearing=drawn_gearing(log.model, None))
+        self.motor = ServoMotor(log.model, figures=drawn_drive(log.model, None))
         self.motor.voltage_v = log.supply_v or self.motor.voltage_v
         mode = OperatingMode.CURRENT if log.goal_rad is None else OperatingMode.EXTENDED_POSITION
         settings = {"operating_mode": int(mode)}

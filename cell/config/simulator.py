@@ -39,9 +39,9 @@ class SimulatedPadsConfig(Section):
 class SimulatedServosConfig(Section):
     """The simulated servos: typical ones, drawn from the spread of their model, or given."""
 
-    gearing: Literal["typical", "drawn", "ideal", "rh_p12_assumed"] = "drawn"
-    """Torque, friction and backlash: a typical servo, servos drawn by the seed from the spread of
-    real ones, figures of the data sheet without noise, or assumptions for an RH-P12-RN(A)."""
+    gearing: Literal["typical", "drawn", "ideal"] = "drawn"
+    """Torque and friction: a typical servo, servos drawn by the seed from the spread of real ones,
+    or figures of the data sheet without noise."""
     friction: tuple[Share, Share] = (1.0, 1.0)
     """Factors on the friction without load of the servo of finger 0 and finger 1, 0.1 to 10."""
     kt: tuple[Share, Share] = (1.0, 1.0)

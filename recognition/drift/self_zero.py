@@ -29,6 +29,9 @@ _LEAST_FRAMES = 4
 """Fewest frames of rest, and of the ramp."""
 _TOP_SHARE = 0.7
 """Least share of the largest load of the frames that show dead taxels."""
+_LEAST_GROWTH = 0.3
+"""Least growth of the load in the ramp, as a share of the largest load: without growth the zero of
+the opening cannot be told from the stiffness. [chosen]"""
 _NEWEST = 3
 """Number of frames whose mean shows early whether a part is present."""
 _SURE_SIGMAS = 5.0
@@ -117,6 +120,13 @@ def measure_zero(
     load = np.stack([r.sum(axis=1) for r in rise])
     if np.any(load.mean(axis=1) <= 0.0):
         raise ValueError("a pad shows no load although the fingers pressed on each other")
+    loads = load.sum(axis=0)
+    growth = float(1.0 - loads[:_LEAST_FRAMES].mean() / loads.max())
+    if growth < _LEAST_GROWTH:
+        raise ValueError(
+            f"the load of the pads grew by {growth:.0%} of its end, {_LEAST_GROWTH:.0%} are "
+            "needed: the fingers met too fast. Lower gripper.approach_speed_mm_s"
+        )
     ratio, ratio_sd = _ratio(load)
     evened = [rise[0] / np.sqrt(ratio), rise[1] * np.sqrt(ratio)]
     footprint = _of_both(evened, alike=_alike(grasp.pads, gripping))

@@ -14,9 +14,7 @@ robot: 1.65 N.m/A. XL330-M288: logs of a pendulum (Rhoban/bam, revision af22604)
 
 import math
 import random
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 from gripper.dynamixel.models import ServoModel
 
@@ -82,6 +80,8 @@ def data_sheet(model: ServoModel) -> DataSheet:
     )
 
 
+_LOAD_FRICTION = {"RH-P12-RN(A)": 0.3}
+"""Friction over the torque of the load in a gearing of 1181 : 1; an assumption."""
 _VISCOUS_SHARE = 0.01
 """Viscous friction at no-load speed over the stall torque; an assumption."""
 _STRIBECK_RAD_S = 1.0
@@ -142,57 +142,32 @@ class Drive:
     """Friction at rest over that at the least speed: 1.3 to 1.8 on an XM430-W350."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Gearing:
-    """Effect of a gearing on the torque of its motor; the default is an ideal gearing."""
+def data_sheet_drive(model: ServoModel, load_friction: float = 0.0) -> Drive:
+    """Return motor and gearing by the data sheet of a model, with Coulomb friction.
 
-    load_friction: float = 0.0
-    """Friction over the torque of the load, on top of that of the data sheet."""
-    backlash_rad: float = 0.0
-    """Motion of the motor in rad at the output from one flank of the teeth to the other."""
-    output_friction: float = 0.0
-    """Share of the friction on the output side of the backlash: bearings, horn, finger."""
-    drive: Drive | None = None
-    """Values of one servo; None: those of its data sheet with ``load_friction``."""
+    The torque of a data sheet is measured with rising load: friction there is added to the motor's
+    torque. Its back-EMF follows from the no-load speed.
 
-    def drive_of(self, model: ServoModel) -> Drive:
-        """Return motor and gearing of a servo of a model.
+    Parameters
+    ----------
+    load_friction
+        Friction over the torque of the load, on top of that of the data sheet.
+    """
+    sheet, more = data_sheet(model), 1.0 + load_friction
+    viscous_nm_s = _VISCOUS_SHARE * sheet.stall_torque_nm / sheet.no_load_rad_s
+    idle_share = sheet.friction_nm / sheet.kt_nm_a / sheet.stall_current_a
+    return Drive(
+        kt_nm_a=more * sheet.kt_nm_a,
+        back_emf_v_s=sheet.voltage_v * (1.0 - idle_share) / sheet.no_load_rad_s,
+        friction=Friction(
+            base_nm=more * sheet.friction_nm,
+            load=load_friction,
+            viscous_nm_s=viscous_nm_s,
+        ),
+        inertia_kg_m2=sheet.inertia_kg_m2,
+        winding_ohm=sheet.winding_ohm,
+    )
 
-        The torque of a data sheet is measured with rising load: the load friction there is added to
-        the motor's torque. Its back-EMF follows from the no-load speed.
-        """
-        if self.drive is not None:
-            return self.drive
-        sheet = data_sheet(model)
-        more = 1.0 + self.load_friction
-        viscous_nm_s = _VISCOUS_SHARE * sheet.stall_torque_nm / sheet.no_load_rad_s
-        idle_share = sheet.friction_nm / sheet.kt_nm_a / sheet.stall_current_a
-        return Drive(
-            kt_nm_a=more * sheet.kt_nm_a,
-            back_emf_v_s=sheet.voltage_v * (1.0 - idle_share) / sheet.no_load_rad_s,
-            friction=Friction(
-                base_nm=more * sheet.friction_nm,
-                load=self.load_friction,
-                viscous_nm_s=viscous_nm_s,
-            ),
-            inertia_kg_m2=sheet.inertia_kg_m2,
-            winding_ohm=sheet.winding_ohm,
-        )
-
-
-IDEAL_GEARING = Gearing()
-"""A gearing with Coulomb friction only."""
-RH_P12_GEARING = Gearing(
-    load_friction=0.3,
-    backlash_rad=math.radians(0.25),
-    output_friction=0.1,
-)
-"""The gearing of an RH-P12-RN(A) of 1181 : 1, assumed: nobody has identified one."""
-
-GEARINGS: Mapping[str, Gearing] = MappingProxyType(
-    {"ideal": IDEAL_GEARING, "rh_p12_assumed": RH_P12_GEARING}
-)
-"""Gearings by name."""
 
 Range = tuple[float, float]
 
@@ -273,16 +248,11 @@ _SPREADS = {
 }
 
 
-def drawn_gearing(model: ServoModel, seed: str | None) -> Gearing:
-    """Return the gearing of one servo of a model, drawn by a seed; None: the typical servo."""
-    spread = _SPREADS.get(model.name)
-    if spread is None:
-        assumed = RH_P12_GEARING if model.name.startswith("RH-P12") else IDEAL_GEARING
-        spread = Spread(typical=assumed.drive_of(model))
-    drive = spread.typical
-    if seed is not None:
-        drive = _drawn(spread, random.Random(seed))
-    return Gearing(drive=drive)
+def drawn_drive(model: ServoModel, seed: str | None) -> Drive:
+    """Return motor and gearing of one servo of a model, drawn by a seed; None: a typical servo."""
+    sheet = data_sheet_drive(model, _LOAD_FRICTION.get(model.name, 0.0))
+    spread = _SPREADS.get(model.name) or Spread(typical=sheet)
+    return spread.typical if seed is None else _drawn(spread, random.Random(seed))
 
 
 def _drawn(spread: Spread, rng: random.Random) -> Drive:

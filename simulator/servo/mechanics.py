@@ -2,8 +2,6 @@
 
 Semi-implicit Euler steps with implicit contact stiffness, and Karnopp's friction: an axis at rest
 stays there until the torque exceeds the stiction, so a gripper that holds a part does not creep.
-With backlash, motor and output are two bodies: they move separately within it, and together without
-a rebound when teeth meet.
 """
 
 import math
@@ -282,19 +280,14 @@ class FingerMechanics:
             return
         friction_nm = motor.friction_nm(driving_nm, load_nm)
         spring = dt_s * dt_s * slope * slope * stiffness_n_m
-        if motor.gearing.backlash_rad > 0.0:
-            new = self._within_backlash(
-                motor, dt_s, driving_nm, load_nm, friction_nm=friction_nm, spring=spring
-            )
-        else:
-            new = velocity_after(
-                motor.velocity_rad_s,
-                dt_s * (driving_nm + load_nm),
-                dt_s * friction_nm,
-                motor.inertia_kg_m2 + FINGER_INERTIA_KG_M2,
-                dt_s * motor.viscous_nm_s + spring,
-                breakaway=motor.breakaway,
-            )
+        new = velocity_after(
+            motor.velocity_rad_s,
+            dt_s * (driving_nm + load_nm),
+            dt_s * friction_nm,
+            motor.inertia_kg_m2 + FINGER_INERTIA_KG_M2,
+            dt_s * motor.viscous_nm_s + spring,
+            breakaway=motor.breakaway,
+        )
         motor.velocity_rad_s = new
         if new == 0.0:
             return
@@ -317,55 +310,3 @@ class FingerMechanics:
             return
         motor.velocity_rad_s = direction * math.copysign(longest_rad, left_rad) / dt_s
         motor.angle_rad = zero_rad + direction * (theta + math.copysign(longest_rad, left_rad))
-
-    def _within_backlash(
-        self,
-        motor: ServoMotor,
-        dt_s: float,
-        driving_nm: float,
-        load_nm: float,
-        *,
-        friction_nm: float,
-        spring: float,
-    ) -> float:
-        """Advance the rotor of a motor and return the velocity of its output in rad/s."""
-        rotor_kg_m2, output_kg_m2 = motor.inertia_kg_m2, FINGER_INERTIA_KG_M2
-        viscous = dt_s * motor.viscous_nm_s
-        output_nm = motor.gearing.output_friction * friction_nm
-        rotor = velocity_after(
-            motor.rotor_velocity_rad_s,
-            dt_s * driving_nm,
-            dt_s * (friction_nm - output_nm),
-            rotor_kg_m2,
-            viscous,
-            breakaway=motor.breakaway,
-        )
-        output = velocity_after(
-            motor.velocity_rad_s,
-            dt_s * load_nm,
-            dt_s * output_nm,
-            output_kg_m2,
-            spring,
-            breakaway=motor.breakaway,
-        )
-        before_rad, half_rad = motor.lead_rad, 0.5 * motor.gearing.backlash_rad
-        if abs(before_rad) >= half_rad and before_rad * (rotor - output) >= 0.0:
-            # Teeth stay in contact. When they have just met, the momentum is conserved.
-            both_kg_m2 = rotor_kg_m2 + output_kg_m2
-            common = (
-                rotor_kg_m2 * motor.rotor_velocity_rad_s + output_kg_m2 * motor.velocity_rad_s
-            ) / both_kg_m2
-            rotor = output = velocity_after(
-                common,
-                dt_s * (driving_nm + load_nm),
-                dt_s * friction_nm,
-                both_kg_m2,
-                viscous + spring,
-                breakaway=motor.breakaway,
-            )
-        else:
-            lead_rad = before_rad + (rotor - output) * dt_s
-            motor.lead_rad = min(max(lead_rad, -half_rad), half_rad)
-            output = rotor - (motor.lead_rad - before_rad) / dt_s
-        motor.rotor_velocity_rad_s = rotor
-        return output

@@ -9,8 +9,7 @@ The position loop is a PID of the error in counts (e-Manual, Position PID Gain).
 modes its output is the PWM, so the back-EMF damps. In current-based position mode its output is a
 current within Goal Current, so only the D gain damps. An X430 regulates the current of the winding.
 The 330 size regulates and reports the current of the supply, which is duty times the current of the
-winding, and limits the change of its voltage (PWM Slope). See Rhoban/bam, pull request 14. A
-`simulator.servo.gearing.Gearing` has friction and backlash; the default is ideal.
+winding, and limits the change of its voltage (PWM Slope). See Rhoban/bam, pull request 14.
 
 Present Velocity is the difference of positions over a window, and a low-pass after it: on four
 XM430-W350 it follows the position 48 to 50 ms late, on an XL330-M288 20 to 21 ms. Windows and
@@ -29,7 +28,7 @@ from typing import Any, NamedTuple
 from gripper.dynamixel.models import XM430_W350, OperatingMode, ServoModel
 from simulator.clock import ROUNDING_S
 from simulator.servo.control_table import is_x330
-from simulator.servo.gearing import IDEAL_GEARING, Gearing, data_sheet
+from simulator.servo.gearing import Drive, data_sheet, data_sheet_drive
 
 CURRENT_LOOP_TIME_CONSTANT_S = 0.003
 """Time constant of the winding current in s; an assumption."""
@@ -229,13 +228,12 @@ class ServoMotor:
         model: ServoModel = XM430_W350,
         *,
         angle_rad: float = math.pi,
-        gearing: Gearing = IDEAL_GEARING,
+        figures: Drive | None = None,
         noise: ServoNoise | None = None,
     ) -> None:
         self.model, self._rad_per_pulse = model, model.rad_per_pulse
-        self.gearing = gearing
         self._noise, self._dither = noise, 0.0
-        drive = gearing.drive_of(model)
+        self.figures = drive = figures or data_sheet_drive(model)
         self._kt_nm_a, self._back_emf_v_s = drive.kt_nm_a, drive.back_emf_v_s
         self._friction = drive.friction
         self.breakaway = drive.breakaway
@@ -256,10 +254,6 @@ class ServoMotor:
         self.angle_rad: float
         self.velocity_rad_s: float
         """True motion of the output, where the encoder is; set by the mechanics."""
-        self.lead_rad: float
-        self.rotor_velocity_rad_s: float
-        """Lead of the motor over the output within the backlash, from -1/2 to 1/2 of it, and the
-        velocity of the motor; set by the mechanics."""
         self.current_a = 0.0
         """Winding current, A, positive towards growing angles."""
         self.duty = 0.0
@@ -282,7 +276,7 @@ class ServoMotor:
     def place(self, angle_rad: float) -> None:
         """Put the output at rest at an angle in rad; the encoder starts there."""
         self.angle_rad = angle_rad
-        self.velocity_rad_s = self.rotor_velocity_rad_s = self.lead_rad = 0.0
+        self.velocity_rad_s = 0.0
         self.velocity_register = VelocityRegister(self.model, self.sensed_count)
         """Velocity that the firmware computes from the counts."""
 

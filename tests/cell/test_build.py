@@ -26,7 +26,7 @@ from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from pytest_tactile_cell.configs import simulated_config
 from simulator.cell import SimulatedCell
-from simulator.servo.gearing import GEARINGS
+from simulator.servo.gearing import data_sheet_drive
 from simulator.settings import SimulatorSettings
 from tactile.errors import BusNotOpened, TactileError
 from tactile.sensor.settings import SensorSettings
@@ -149,11 +149,9 @@ def test_servos_and_noise_are_as_the_config_says() -> None:
     assert settings.unit.bitrate == 500_000
     with SimulatedCell(settings) as cell:
         first, second = cell.devices.mechanics.motors
-    assert first.gearing is GEARINGS["ideal"]
+    assert first.figures == data_sheet_drive(first.model)
     assert (first.friction_factor, second.friction_factor) == (1.5, 1.0)
     assert (first.kt_factor, second.kt_factor) == (0.8, 1.1)
-    for name in GEARINGS:
-        changed_config(CellConfig(), {"simulator.servos.gearing": name})
     with SimulatedCell(simulator_settings(CellConfig())) as cell:
         drawn, other = cell.devices.mechanics.motors
     assert len({drawn.model.kt_nm_a, drawn.kt_nm_a, other.kt_nm_a}) == 3

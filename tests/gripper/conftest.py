@@ -22,31 +22,29 @@ from gripper.values.state import Cycle
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
-from simulator.servo.gearing import Drive, Friction, Gearing, data_sheet
+from simulator.servo.gearing import Drive, Friction, data_sheet
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
 from simulator.servo.motor import ServoMotor
 from tests.values import measured_drives
 
-STICKING = Gearing(
-    drive=Drive(
-        kt_nm_a=2.8591851666071726,
-        back_emf_v_s=2.8591851666071726,
-        friction=Friction(
-            base_nm=0.219,
-            drive=0.499,
-            load=0.014,
-            load_quadratic_per_nm=0.0056,
-            viscous_nm_s=0.0452,
-        ),
-        inertia_kg_m2=0.02189596382194143,
-        winding_ohm=5.217391304347826,
-    )
+STICKING = Drive(
+    kt_nm_a=2.8591851666071726,
+    back_emf_v_s=2.8591851666071726,
+    friction=Friction(
+        base_nm=0.219,
+        drive=0.499,
+        load=0.014,
+        load_quadratic_per_nm=0.0056,
+        viscous_nm_s=0.0452,
+    ),
+    inertia_kg_m2=0.02189596382194143,
+    winding_ohm=5.217391304347826,
 )
 """A gearing that sticks at rest: that of an MX-64 (Rhoban/bam, revision 1b5a1ce, mx64/m6.json) at
 low speed, all torques scaled to the graph of an XM430-W350."""
-_LAW = STICKING.drive.friction
-_RISES_NM_A = (1.0 - _LAW.drive) * STICKING.drive.kt_nm_a
-_FALLS_NM_A = (1.0 + _LAW.drive) * STICKING.drive.kt_nm_a
+_LAW = STICKING.friction
+_RISES_NM_A = (1.0 - _LAW.drive) * STICKING.kt_nm_a
+_FALLS_NM_A = (1.0 + _LAW.drive) * STICKING.kt_nm_a
 STICKING_DRIVE = DriveCharacteristic(
     coulomb_a=_LAW.base_nm / _RISES_NM_A,
     breakaway_a=_LAW.base_nm / _RISES_NM_A,

@@ -182,7 +182,7 @@ def test_the_load_of_a_gearing_that_sticks_is_measured_with_its_losses(factors) 
     part = PARTS["steel ball, 200 N/mm"]
     # Without a load up to four times the current of the catalogue is plausible.
     factors = (_CATALOGUE * factors[0], factors[1])
-    settings = {"gearing": STICKING, "factors": factors, "current_max_a": 1.6}
+    settings = {"figures": STICKING, "factors": factors, "current_max_a": 1.6}
     measured = Rig(part, 0.2, servos=None, seed=11, rate_hz=200.0, **settings).measure_servos()
     true_a_nm = STICKING_DRIVE.rising_a_nm / factors[1]
     for drive in measured.values():

@@ -18,7 +18,7 @@ from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import MODELS, XL330_M288, XM430_W350
 from gripper.dynamixel.serial_port import ByteStream
 from simulator.servo.bus import MemoryServoStream
-from simulator.servo.gearing import drawn_gearing
+from simulator.servo.gearing import drawn_drive
 from simulator.servo.mechanics import FingerMechanics, RackLinkage
 from simulator.servo.motor import ServoMotor, ServoNoise
 from tests.cell.commissioning.hands import Question, Script
@@ -33,7 +33,7 @@ class SimulatedBench(ServoBench, LineOpener):
     """A servo with an arm over a scale or free; and a person who sets it up."""
 
     def __init__(self, model: str = "XM430-W350", n_servos: int = 1) -> None:
-        drawn = {"gearing": drawn_gearing(MODELS[model], "7"), "noise": ServoNoise("7")}
+        drawn = {"figures": drawn_drive(MODELS[model], "7"), "noise": ServoNoise("7")}
         arm = RackLinkage(pinion_radius_m=ARM_M, travel_m=0.9)
         self.place = "free"
         self.rest_m = 0.0
@@ -99,7 +99,7 @@ def measured(bench: SimulatedBench, folder: Path, *steps: str) -> dict[str, Any]
 
 def truth(bench: SimulatedBench) -> dict[str, Any]:
     """Return what the steps should measure of the simulated servo."""
-    model, drive = bench.rig.model, bench.motor.gearing.drive_of(bench.rig.model)
+    model, drive = bench.rig.model, bench.motor.figures
     supply = model.supply_current
     free_nm_a = (1.0 - drive.friction.drive) * drive.kt_nm_a
     rising_a_nm = (1.0 + drive.friction.load) / free_nm_a

@@ -352,6 +352,7 @@ def test_dead_taxels_are_named() -> None:
         ({"force_n": np.zeros(70)}, "frames of the ramp"),
         ({"aperture_m": np.full(70, 1e-3)}, "frames of open fingers"),
         ({"counts": np.full((70, 120), 60)}, "shows no load"),
+        ({"counts": np.repeat([[10], [90]], [20, 50], axis=0) + np.zeros(120, int)}, "grew by 0%"),
     ],
 )
 def test_what_shows_no_zero_is_refused(change: dict[str, Any], says: str) -> None:

@@ -5,15 +5,14 @@ import math
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from gripper.dynamixel.models import MODELS, XL330_M288, XM430_W350, OperatingMode as Mode
-from simulator.servo.gearing import (
-    IDEAL_GEARING,
-    RH_P12_GEARING,
-    Friction,
-    Gearing,
-    data_sheet,
-    drawn_gearing,
+from gripper.dynamixel.models import (
+    MODELS,
+    RH_P12_RN_A,
+    XL330_M288,
+    XM430_W350,
+    OperatingMode as Mode,
 )
+from simulator.servo.gearing import Friction, data_sheet, data_sheet_drive, drawn_drive
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
 from simulator.servo.motor import (
     AMBIENT_C,
@@ -287,17 +286,17 @@ def test_the_law_is_its_formula(driving_nm, load_nm, speed_rad_s, friction_nm) -
 
 
 def test_the_servos_of_a_cell_are_drawn_by_its_seed_and_their_ids():
-    first, second = (SimulatedServoSettings(servo_id=n, gearing=None) for n in (1, 2))
+    first, second = (SimulatedServoSettings(servo_id=n) for n in (1, 2))
     figures = [one.motor(seed).kt_nm_a for one in (first, second) for seed in (0, 1)]
     assert len(set(figures)) == 4
     again = [one.motor(seed).kt_nm_a for one in (first, second) for seed in (0, 1)]
     assert again == figures
-    ideal = SimulatedServoSettings(servo_id=1, gearing=IDEAL_GEARING)
+    ideal = SimulatedServoSettings(servo_id=1, gearing="ideal")
     assert ideal.motor(0).kt_nm_a == ideal.motor(1).kt_nm_a == data_sheet(XM430_W350).kt_nm_a
 
 
 def test_drawn_xm430_w350_are_within_the_spread_of_real_ones():
-    drives = [drawn_gearing(XM430_W350, str(seed)).drive for seed in range(200)]
+    drives = [drawn_drive(XM430_W350, str(seed)) for seed in range(200)]
     friction_ma = [1e3 * one.friction.base_nm / one.kt_nm_a for one in drives]
     for drawn, low, high in (
         (friction_ma, 18.0, 82.0),
@@ -311,7 +310,7 @@ def test_drawn_xm430_w350_are_within_the_spread_of_real_ones():
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=lambda m: m.name)
 def test_a_drawn_servo_is_near_its_data_sheet(model):
-    typical = drawn_gearing(model, None).drive
+    typical = drawn_drive(model, None)
     volt = typical.winding_ohm * model.stall_current_a
     assert volt == pytest.approx(model.nominal_voltage_v, rel=0.01)
     # Less than the whole supply turns it as fast as without load.
@@ -331,11 +330,9 @@ def test_a_drawn_servo_is_near_its_data_sheet(model):
 MOUNTS = (ServoMount(direction=1), ServoMount(direction=-1))
 
 
-def fingers(
-    count=2, *, model=XM430_W350, linkage=None, aperture_m=0.04, gearing=IDEAL_GEARING, **options
-):
+def fingers(count=2, *, model=XM430_W350, linkage=None, aperture_m=0.04, figures=None, **options):
     return FingerMechanics(
-        [ServoMotor(model, gearing=gearing) for _ in range(count)],
+        [ServoMotor(model, figures=figures) for _ in range(count)],
         MOUNTS[:count],
         linkage or ParallelogramLinkage(link_m=0.06),
         aperture_m=aperture_m,
@@ -394,7 +391,7 @@ def held_n(mechanics, current_a: float, before_a: float) -> float:
 
 @pytest.mark.parametrize("share", [0.0, 0.2])
 def test_unloading_holds_more_by_twice_the_friction_and_that_of_the_load(share: float):
-    mechanics = fingers(gearing=Gearing(load_friction=share))
+    mechanics = fingers(figures=data_sheet_drive(XM430_W350, share))
 
     loading_n = held_n(mechanics, 0.5, 0.0)
     held_n(mechanics, 1.0, 0.5)
@@ -414,7 +411,7 @@ def test_unloading_holds_more_by_twice_the_friction_and_that_of_the_load(share: 
         ({"model": XL330_M288}, 5_000.0, True),
         ({"model": XL330_M288, "linkage": RackLinkage()}, 500.0, False),
         ({"model": XL330_M288, "linkage": RackLinkage()}, 50_000.0, True),
-        *(({"gearing": RH_P12_GEARING}, stiffness, True) for stiffness in (500.0, 5e3, 5e4)),
+        *(({"model": RH_P12_RN_A}, stiffness, True) for stiffness in (500.0, 5e3, 5e4)),
     ],
 )
 def test_contact_comes_to_rest_at_any_stiffness_and_stays(hand, stiffness_n_m, implicit):
@@ -437,23 +434,3 @@ def test_end_stops_hold_the_fingers():
     press(mechanics, 0.0, 0.0, 1.0)
     widest_m = ParallelogramLinkage(link_m=0.06).half_opening_max_m
     assert mechanics.finger_position_m == pytest.approx((widest_m, widest_m), abs=1e-9)
-
-
-def test_a_light_force_moves_a_finger_through_the_backlash_and_no_further():
-    backlash_rad = math.radians(0.25)
-    mechanics = fingers(gearing=Gearing(backlash_rad=backlash_rad, output_friction=0.1))
-    slope = 0.06 * math.cos(math.asin(0.02 / 0.06))
-    way_m = slope * backlash_rad
-    for _ in range(100):
-        mechanics.step(STEP_S, (1.0, 1.0))
-    # At the start the teeth stand in the middle.
-    assert mechanics.aperture_m - 0.04 == pytest.approx(way_m, rel=0.02)
-    stood_m = mechanics.aperture_m
-    push(mechanics, -0.3)
-    motor = mechanics.motors[0]
-    while motor.lead_rad < 0.4 * backlash_rad:
-        mechanics.step(STEP_S, (0.0, 0.0))
-        assert mechanics.aperture_m == pytest.approx(stood_m, abs=5e-6)
-    assert motor.rotor_velocity_rad_s > 0.1
-    press(mechanics, 0.0, 0.0, 0.05)
-    assert mechanics.aperture_m > stood_m + way_m

@@ -54,7 +54,7 @@ def test_a_force_on_foam_that_creeps_stays_within_its_aim_for_a_long_hold() -> N
     ],
 )
 def test_a_ramp_does_not_jump_where_the_gearing_sticks(part, ramp, seed, rate_hz) -> None:
-    rig = Rig(PARTS[part], 0.2, servos=None, seed=seed, rate_hz=rate_hz, gearing=STICKING)
+    rig = Rig(PARTS[part], 0.2, servos=None, seed=seed, rate_hz=rate_hz, figures=STICKING)
     quality = rig.grasp(*ramp, {1: STICKING_DRIVE, 2: STICKING_DRIVE})
     assert not quality.lost
     # The aim of all ramps; frames alone reach less.
