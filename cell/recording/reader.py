@@ -8,13 +8,16 @@ import struct
 from bisect import bisect_left, bisect_right
 from collections import Counter, defaultdict
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
+import lz4.frame
 import numpy as np
 import zstandard
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 from pydantic import ValidationError
@@ -32,6 +35,10 @@ MAX_FILE_BYTES = 1 << 30
 MAX_CHUNK_BYTES = 32 << 20
 """Largest record and unpacked chunk that is read, in bytes. The recorder makes chunks of 64 KiB,
 the tools of MCAP those of 8 MiB."""
+_RECORD = struct.Struct("<BQ")
+"""Head of a record: its type and its length (MCAP specification, "Records")."""
+_IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+"""Types of the records of a chunk."""
 _reader = partial(StreamReader, emit_chunks=True, record_size_limit=MAX_CHUNK_BYTES)
 _DAMAGE = (*DAMAGE, McapError, zstandard.ZstdError, struct.error)
 
@@ -125,9 +132,7 @@ class RecordedMessages:
 
     def _parts(self, chunk: Chunk) -> list[McapRecord]:
         try:
-            if chunk.uncompressed_size > MAX_CHUNK_BYTES:
-                raise ValueError(f"it unpacks to more than {MAX_CHUNK_BYTES} bytes")
-            return breakup_chunk(chunk, validate_crc=True)
+            return breakup_chunk(_unpacked(chunk), validate_crc=True)
         except _DAMAGE as cause:
             self.lose(f"a chunk is left out: {reason_text(cause)}")
             return []
@@ -160,6 +165,30 @@ class RecordedMessages:
         if len(extra) % n or self._n_extra not in (None, len(extra)):
             raise ValueError(f"it has {len(extra)} further samples of {n} taxels")
         self._n_extra = len(extra)
+
+
+def _unpacked(chunk: Chunk) -> Chunk:
+    """Return a chunk without compression; ValueError if it is too large or has other records.
+
+    mcap unpacks whatever length the data have, and reads records of unknown types one by one.
+    """
+    size = chunk.uncompressed_size
+    if size > MAX_CHUNK_BYTES:
+        raise ValueError(f"it unpacks to more than {MAX_CHUNK_BYTES} bytes")
+    data = chunk.data
+    if chunk.compression == "zstd":
+        data = zstandard.ZstdDecompressor().stream_reader(data).read(size + 1)
+    elif chunk.compression == "lz4":
+        data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+    if len(data) != size:
+        raise ValueError(f"it states {size} bytes, and unpacks to another length")
+    at = 0
+    while at < size:
+        kind, length = _RECORD.unpack_from(data, at)
+        if kind not in _IN_CHUNKS:
+            raise ValueError(f"it has a record of the type {kind}")
+        at += _RECORD.size + length
+    return replace(chunk, compression="", data=data)
 
 
 def _refusal(cause: ValueError) -> str:

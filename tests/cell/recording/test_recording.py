@@ -4,6 +4,7 @@ import errno
 import json
 import math
 import os
+import struct
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -15,8 +16,10 @@ from typing import Any, NamedTuple
 from unittest.mock import patch
 
 import jsonschema
+import lz4.frame
 import numpy as np
 import pytest
+import zstandard
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 from typer.testing import CliRunner
@@ -533,6 +536,37 @@ def test_a_message_that_does_not_fit_is_left_out_named_and_not_recovered(
     recover_recording(path, tmp_path / "new.mcap")
     whole = read_recording(tmp_path / "new.mcap")
     assert (whole.complete, whole.frames.number.tolist()) == (True, [0, 1])
+
+
+def chunk_of(compression: bytes, packed: bytes, size: int) -> bytes:
+    """Return a chunk without a checksum that states the size of its content."""
+    head = struct.pack("<QQQII", 0, 0, size, 0, len(compression)) + compression
+    return struct.pack("<BQ", 6, len(head) + 8 + len(packed)) + head + prefixed(packed)
+
+
+def prefixed(data: bytes) -> bytes:
+    return struct.pack("<Q", len(data)) + data
+
+
+@pytest.mark.parametrize(
+    ("chunk", "says"),
+    [
+        (chunk_of(b"zstd", zstandard.compress(bytes(1 << 26)), 9), "states 9 bytes, and unpacks"),
+        (chunk_of(b"lz4", lz4.frame.compress(bytes(1 << 26)), 9), "states 9 bytes, and unpacks"),
+        (chunk_of(b"", bytes(9), 9), "it has a record of the type 0"),
+        (chunk_of(b"", b"\x05" + prefixed(b"")[:7], 8), "unpack_from requires a buffer"),
+        (chunk_of(b"", b"", 1 << 40), "it unpacks to more than"),
+    ],
+)
+def test_a_chunk_that_is_larger_than_it_states_is_left_out(three, tmp_path, chunk, says) -> None:
+    content = three.read_bytes()
+    before_end = content.rindex(struct.pack("<BQ", 15, 4))
+    path = tmp_path / "r.mcap"
+    path.write_bytes(content[:before_end] + chunk + content[before_end:])
+    recording = read_recording(path)
+    assert recording.lost_reason.startswith("a chunk is left out: ")
+    assert says in recording.lost_reason
+    assert len(recording.grasps) == 3
 
 
 def test_grasps_cannot_share_frames(tmp_path: Path) -> None:
