@@ -276,12 +276,15 @@ def claim(where: str, paper: str, here: str, *, holds: bool, in_part: bool = Fal
     line(where, f"{paper} | {here} | {verdict}")
 
 
+def still_surfaces(touches: Sequence[Touch]) -> Array:
+    """Return the first pad's surface of each touch without noise, (n, 4, 4)."""
+    quiet = np.random.default_rng(SEED)
+    return np.array([MeanFrames.of(record(touch, quiet, 0.0)).surfaces()[0] for touch in touches])
+
+
 def of_levels(touches: Sequence[Touch]) -> None:
     """Print the claims about the sensor and about figure 3."""
-    quiet = np.random.default_rng(SEED)
-    surfaces = np.array(
-        [MeanFrames.of(record(touch, quiet, 0.0)).surfaces()[0] for touch in touches]
-    )
+    surfaces = still_surfaces(touches)
     force_n, quoted = np.array(FIGURE_2).T
     kohm = 1e3 * resistance_mohm(force_n)
     sizes = np.sort(np.abs(np.linalg.eigvalsh(surfaces)), axis=1)

@@ -21,6 +21,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks import __main__ as command
 from benchmarks.__main__ import MODULES
 from benchmarks._measure import same, share
+from benchmarks.paper.method import KINDS, SOLVERS, claims, column_sums, ramp_surface
 from benchmarks.paper.reproduction import (
     classify,
     levels_of,
@@ -34,7 +35,7 @@ from benchmarks.performance.servo_logs import Bench, Log, main, read_logs
 from cell.recording.dataset import write_dataset
 from gripper.dynamixel.models import XL330_M288, XM430_W350
 from recognition.features import PadGrid
-from recognition.quadric.quadric import find_thresholds
+from recognition.quadric.quadric import Reading, find_thresholds, translation
 from simulator.world.shapes import ObjectPose
 from tests import ROOT
 from tests.marks import LONG
@@ -182,6 +183,49 @@ def test_the_simulated_servos_follow_the_logs_of_real_ones(capsys) -> None:
     printed = capsys.readouterr().out
     assert all(log.name in printed for path in servos.glob("*.npz") for log in read_logs(path))
     assert servo_logs.SPEED_RMS_RAD_S == {"430 size": 0.018, "330 size": 0.04}
+
+
+# -- The paper's mathematics: "What holds" in docs/developers/paper.md -----------------------------
+
+
+TRUE = {
+    "eq. (5), (6): the bound is the least eigenvalue",
+    "eq. (4): descents end at it",
+    "eq. (8): column sums give each scale",
+    *(f"eq. (9): {kind} keeps the infimum" for kind in KINDS),
+    *(
+        f"{form}: rotation keeps the {one}"
+        for form in ("full quadrics", "form (7)")
+        for one in Reading
+    ),
+    "form (7): translation keeps the smallest_magnitude",
+    "full quadrics: scale keeps the algebraic_minimum",
+    *(f"{solver}: within 8 % in float64" for solver in SOLVERS),
+    *(f"{solver}: within 8 % in float32" for solver in SOLVERS if "QR" in solver),
+}
+
+
+@pytest.mark.slow
+def test_each_claim_of_the_paper_has_the_verdict_of_the_page() -> None:
+    rows = {
+        f"{where}: {claim}": (values(), limit) for where, claim, values, limit in claims(EFFORT)
+    }
+    assert {row for row, (residuals, limit) in rows.items() if residuals.max() <= limit} == TRUE
+    assert rows["form (7): scale keeps the smallest_magnitude"][0] == pytest.approx(
+        [15.0] * 5, abs=0.01
+    )
+    assert rows["bands: none overlap after the sweep"][0] == 1.0
+    assert len(rows) == 39
+    assert np.diag(column_sums(translation([3.0, 0.0, 0.0]))).tolist() == [1.0, 1.0, 1.0, 4.0]
+
+
+def test_the_form_with_five_coordinates_is_the_fitted_surface() -> None:
+    rng = np.random.default_rng(3)
+    xy, share = rng.uniform(-1, 1, (40, 2)), rng.uniform(0, 1, 40)
+    height = 3 * xy[:, 0] ** 2 - xy[:, 1] * share + 2 * share**2 - share + 5
+    v = np.column_stack([xy, height, share, np.ones(40)])
+    Q = ramp_surface(xy, share, height)
+    assert np.einsum("ni,ij,nj->n", v, Q, v) == pytest.approx(np.zeros(40), abs=1e-9)
 
 
 # -- The paper's claims beside ours: the levels of a grasp, and the names by thresholds ------------
