@@ -11,6 +11,7 @@ that the host sent; the sources drop them.
 import errno
 import hashlib
 import logging
+import os
 import re
 import select
 import socket
@@ -37,8 +38,6 @@ CanBus = can.BusABC
 
 _NODE_BITS = 0x07F
 """Bits of the node-ID in a COB-ID (CiA 301, 7.3.5)."""
-_UNLOCKED = ("virtual", "slcan")
-"""Interfaces without a lock here: in one program, or on a serial port, which its driver locks."""
 _SEND_TIMEOUT_S = 0.1
 """Longest wait in s until an adapter accepts a message: five frame periods at 50 Hz."""
 _LONGEST_LINE = 32
@@ -81,15 +80,18 @@ class MissingBus(can.BusABC):
 
 @contextmanager
 def bus_lock(interface: str, channel: str) -> Iterator[None]:
-    """Let one program at a time use a CAN interface. A serial port has its own lock.
+    """Let one program at a time use a CAN interface; buses in one program need no lock.
 
-    Without it two programs could command one control unit. The lock is a name among the sockets of
-    the system (unix(7), abstract): a service with its own /tmp shares it, and the operating system
-    releases it when the program ends. Raises BusNotOpened if another program holds it.
+    Without it two programs could command one control unit. A serial port also has a lock of its
+    own, but to open one discards what has arrived for the program that holds it. The lock is a
+    name among the sockets of the system (unix(7), abstract): a service with its own /tmp shares it,
+    and the operating system releases it when the program ends. Raises BusNotOpened if another
+    program holds it.
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as lock:
-        if interface not in _UNLOCKED:
-            name = hashlib.sha256(f"{interface} {channel}".encode()).hexdigest()
+        if interface != "virtual":
+            place = os.path.realpath(channel) if "/" in channel else channel
+            name = hashlib.sha256(f"{interface} {place}".encode()).hexdigest()
             try:
                 lock.bind(f"\0can-{name}")
             except OSError as error:

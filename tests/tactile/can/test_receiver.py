@@ -323,6 +323,15 @@ def test_a_second_program_is_refused_until_the_first_has_ended(adapter) -> None:
     close_bus(open_bus("slcan", adapter.path))
 
 
+def test_a_refused_second_program_takes_no_message_from_the_first(slcan, adapter, tmp_path) -> None:
+    by_another_name = tmp_path / "adapter"
+    by_another_name.symlink_to(adapter.path)
+    adapter.write(b"t1811AA\r")
+    with pytest.raises(BusNotOpened, match="used by another program of this kind"):
+        open_bus("slcan", str(by_another_name))
+    assert [one.arbitration_id for one in received(slcan)] == [0x181]
+
+
 def test_a_bit_rate_that_an_adapter_lacks_leaves_its_port_free(adapter) -> None:
     with pytest.raises(BusNotOpened, match="bitrate") as refused:
         open_bus("slcan", adapter.path, bitrate=800_000)
