@@ -119,8 +119,10 @@ class PadArray(ArrayRecord):
         keep_array(self, "pad_shape", self.pad_shape, np.int64, (n_pads, 2))
         keep_array(self, "taxel_pad", self.taxel_pad, np.int64, (n_taxels,))
         keep_array(self, "taxel_xy_m", self.taxel_xy_m, np.float64, (n_taxels, 2))
-        if self.adc_max < 1:
-            raise ValueError(f"adc_max is {self.adc_max}, must be at least 1")
+        if self.adc_max not in range(1, 1 << 16):
+            raise ValueError(f"adc_max is {self.adc_max}, must be a whole number from 1 to 65535")
+        if np.any(self.pad_shape < 1):
+            raise ValueError(f"pad_shape is {self.pad_shape.tolist()}: a pad has no taxel")
         if not np.all(np.isfinite(self.taxel_xy_m)):
             raise ValueError("taxel_xy_m has values that are not finite")
         if np.any((self.taxel_pad < 0) | (self.taxel_pad >= n_pads)):
@@ -201,7 +203,8 @@ class Grasp:
     Raises
     ------
     ValueError
-        There is no frame, a shape does not fit, or counts are not from 0 to ``pads.adc_max``.
+        There is no frame, a shape does not fit, counts are not from 0 to ``pads.adc_max``, or
+        times fall.
     """
 
     pads: PadArray
@@ -256,6 +259,8 @@ class Grasp:
             if np.ndim(value) == 0 and name != "t_s":
                 value = np.full(n_frames, value)
             keep_array(self, name, value, np.float64, (n_frames,))
+        if not np.all(np.isfinite(self.t_s)) or np.any(np.diff(self.t_s) < 0.0):
+            raise ValueError("t_s falls, or has a value that is not finite: write times in s")
 
     @property
     def n_frames(self) -> int:
@@ -295,11 +300,11 @@ class Grasp:
 def by_label(grasps: Sequence[Grasp]) -> dict[str, list[Grasp]]:
     """Return the grasps of each label in the order of time, labels sorted.
 
-    Raises ValueError if a grasp has no label.
+    Raises ValueError if a grasp has no printable label.
     """
     members: defaultdict[str, list[Grasp]] = defaultdict(list)
     for number, grasp in enumerate(grasps):
-        if not grasp.label:
+        if not grasp.label or not grasp.label.isprintable():
             raise ValueError(f"grasp {number} has no label: label it to teach or to test")
         members[grasp.label].append(grasp)
     return {label: sorted(members[label], key=lambda g: g.start_ms) for label in sorted(members)}

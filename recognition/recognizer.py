@@ -43,6 +43,8 @@ class Posterior:
     drawn_m: tuple[float, ...] = ()
     """Thicknesses in m of the likeliest object along the closing axis by its drawing, in present
     readings of the opening. Empty without a drawing, or if the zero of the opening is unknown."""
+    informed: bool = True
+    """False for a grasp without evidence: fusion with other grasps leaves it out."""
 
     def __post_init__(self) -> None:
         p = keep_array(self, "probability", self.probability, np.float64)
@@ -70,7 +72,7 @@ class Posterior:
     def uninformed(cls, labels: tuple[str, ...]) -> "Posterior":
         """Return the posterior of a grasp without evidence: even probabilities, unknown is 1."""
         even = np.full(len(labels), 1.0 / len(labels))
-        return cls(labels=labels, probability=even, unknown=1.0)
+        return cls(labels=labels, probability=even, unknown=1.0, informed=False)
 
     def with_size(self, low_m: float, high_m: float) -> "Posterior":
         """Return the posterior after a measured thickness with its 90 % interval in m.

@@ -154,17 +154,18 @@ class HttpServer:
 
     def _refusal(self, scope: Scope, length: int | None) -> tuple[int, str, str] | None:
         """Return status, text and cause (of `REMEDIES`) of a refusal; None for no refusal."""
-        headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
-        hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
+        hosts, origins = (
+            [value.decode("latin-1") for name, value in scope["headers"] if name == wanted]
+            for wanted in (b"host", b"origin")
+        )
         client, reached = scope.get("client"), scope.get("server")
         config = self._config
         if client is None or reached is None or not may_connect(client[0], config):
             return 403, "this client is not in serve.allow", "client"
         if not is_for_this_machine(hosts, reached[0], config):
             return 403, f"Host {', '.join(hosts)!r:.80} is not this machine", "host"
-        origin = headers.get(b"origin")
-        if origin is not None and not (self._pages and self._is_own(origin, hosts[0], scope)):
-            text = f"the request comes from a page of another origin, {origin!r:.80}"
+        if not all(self._pages and self._is_own(one, hosts[0], scope) for one in origins):
+            text = f"the request comes from a page of another origin, {', '.join(origins)!r:.80}"
             return 403, text, "origin"
         if length is None:
             return 413, "the request has no valid Content-Length", "length"

@@ -286,7 +286,13 @@ class WebInterface(HttpServer):
         refusals: dict[int | str, dict[str, Any]] = {
             status: {"model": RefusalBody} for status in (401, 403, 404, 409, 413, 422, 500)
         }
-        app = FastAPI(title="tactile-cell", docs_url=None, redoc_url=None, responses=refusals)
+        app = FastAPI(
+            title="tactile-cell",
+            version=service.version,
+            docs_url=None,
+            redoc_url=None,
+            responses=refusals,
+        )
         for kind in (*EXPECTED_ERRORS, OSError, StarletteHTTPException, RequestValidationError):
             app.add_exception_handler(kind, _refused)
         app.add_exception_handler(Exception, _refused)

@@ -416,7 +416,11 @@ class Service:
             return tuple(f"{one.name} (gone)" if self._is_gone(one) else one.name for one in every)
 
     def stop_as(self, name: str, latch: bool | None) -> None:
-        """Stop for a client without a connection: True begins, False ends, None stops once."""
+        """Stop for a client without a connection: True begins, False ends, None stops once.
+
+        A name may have any characters: a stop is never refused.
+        """
+        name = "".join(one if one.isprintable() else "?" for one in name)
         if latch is None:
             self.stop(f"by {name}")
         elif latch:

@@ -120,7 +120,7 @@ def interval_by_object(right: Sequence[bool], objects: Sequence[str]) -> tuple[f
 
 _BEFORE = 10
 """Grasps of a shift that are tracked before the first counted grasp."""
-_MIN_LABELS_FOR_UNKNOWN = 4
+MIN_LABELS_FOR_UNKNOWN = 4
 """Fewest labels for tests of unknown objects: with fewer, too few would remain to be taught."""
 _UNKNOWN_EDGES = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.0)
 """Edges of the rows of the reliability of ``unknown``."""
@@ -341,7 +341,7 @@ def _leave_out(
 ) -> list[_Scores]:
     """Return the scores for each group of left-out labels."""
     labels = sorted({g.label for g in train})
-    if len(labels) < _MIN_LABELS_FOR_UNKNOWN:
+    if len(labels) < MIN_LABELS_FOR_UNKNOWN:
         return []
     n_groups = min(n_groups, len(labels))
     groups = [frozenset(labels[group::n_groups]) for group in range(n_groups)]

@@ -83,7 +83,7 @@ def fuse(posteriors: Sequence[Posterior], *, dependence: float | None = None) ->
     tempered: n grasps count as n / (1 + (n - 1) dependence) independent ones. The default
     `dependence` is the mean of those of the posteriors. Grasps that contradict each other make
     an untaught object likelier. The order does not matter. One posterior alone is returned
-    slightly flattened.
+    slightly flattened. Grasps without evidence count only where there are no others.
 
     Raises
     ------
@@ -92,6 +92,7 @@ def fuse(posteriors: Sequence[Posterior], *, dependence: float | None = None) ->
     """
     if not posteriors:
         raise ValueError("no posteriors to fuse: grasp at least once")
+    posteriors = [p for p in posteriors if p.informed] or posteriors
     if dependence is None:
         dependence = float(np.mean(sorted(p.dependence for p in posteriors)))
     if not 0.0 <= dependence <= 1.0:

@@ -153,7 +153,10 @@ def test_the_unit_serves_the_config_and_brings_the_can_up(tmp_path) -> None:
 def test_what_the_service_user_cannot_read_is_named(tmp_path) -> None:
     config = tmp_path / "home" / "cell.yaml"
     config.parent.mkdir(0o755)
-    config.write_text("gripper: {port: simulated}")
+    token = tmp_path / "token"
+    token.write_text(32 * "t")
+    token.chmod(0o600)
+    config.write_text(f"gripper: {{port: simulated}}\nserve: {{token_file: {token}}}")
     tmp_path.chmod(0o755)
     assert closed_to_others(config) in (None, *tmp_path.parents)
     config.chmod(0o640)
@@ -162,6 +165,8 @@ def test_what_the_service_user_cannot_read_is_named(tmp_path) -> None:
     warned = CliRunner().invoke(app, ["service", "install", "-c", str(config)]).stderr
     assert "no interface is open: set serve.http_port" in warned
     assert f"{config}: the user tactile-cell cannot read /" in warned
+    assert f"{token}: the user tactile-cell cannot read /" in warned
+    assert "chgrp tactile-cell /" in warned
 
 
 # -- udev --------------------------------------------------------------------------------------

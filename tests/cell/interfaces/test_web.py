@@ -363,6 +363,12 @@ def test_a_page_from_elsewhere_is_refused(host) -> None:
         assert host.ask("POST", "/api/hold", {}, Origin=origin)[0] == 403
         with pytest.raises(InvalidStatus, match="403"), host.live(origin=origin):
             pass
+    with socket.create_connection(("127.0.0.1", host.port)) as link:
+        link.sendall(
+            f"POST /api/hold HTTP/1.1\r\nHost: 127.0.0.1:{host.port}\r\nContent-Length: 0\r\n"
+            f"Origin: http://evil.example\r\nOrigin: {here}\r\n\r\n".encode()
+        )
+        assert link.recv(100).startswith(b"HTTP/1.1 403")
     # A name that leads here is not the name of this machine.
     here_by_another = socket.create_connection(("127.0.0.1", host.port))
     at = f"ws://evil.example:{host.port}/api/live?token={host.token}"

@@ -100,18 +100,18 @@ def test_a_client_without_a_connection_repeats_its_hold(served) -> None:
     service.stop_as("HTTP 192.0.2.1 panel", None)  # once: nothing stays
     assert service.held_by == ()
     for _ in range(3):
-        service.stop_as("HTTP 192.0.2.1 panel", True)
+        service.stop_as("HTTP 192.0.2.1 pa\x1b\0el", True)
         served.clock.now_s += LEASE_S
         service.lease.alive(lease)
         with pytest.raises(CellStateError, match="'clear' is not allowed"):
             service.command(lease, Command.CLEAR)
     served.clock.now_s += 1.0
-    assert service.held_by == ("HTTP 192.0.2.1 panel (gone)",)
+    assert service.held_by == ("HTTP 192.0.2.1 pa??el (gone)",)
     with pytest.raises(HeldByClient):
         service.start(lease, IDENTIFY)
     service.stop_as("HTTP 192.0.2.1", False)
-    assert service.held_by == ("HTTP 192.0.2.1 panel (gone)",)
-    service.stop_as("HTTP 192.0.2.1 panel", False)
+    assert service.held_by == ("HTTP 192.0.2.1 pa??el (gone)",)
+    service.stop_as("HTTP 192.0.2.1 pa\x1b\0el", False)
     assert service.held_by == ()
 
 

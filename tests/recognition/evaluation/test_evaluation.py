@@ -69,9 +69,10 @@ def test_named_series_count_without_a_pause_and_across_one(train):
     assert len(series[1]) == 2 * len(later)
 
 
-def test_a_grasp_without_label_is_refused(train):
+@pytest.mark.parametrize("label", ["", "bar\0"])
+def test_a_grasp_without_label_is_refused(train, label):
     with pytest.raises(ValueError, match="no label"):
-        chronological_split([dataclasses.replace(train[0], label="")], 0.5)
+        chronological_split([dataclasses.replace(train[0], label=label)], 0.5)
 
 
 def test_confusion_counts_truth_by_answer():

@@ -44,6 +44,27 @@ def test_counts_beyond_the_scale_are_refused(value: float) -> None:
         counts_of(value)
 
 
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        *(
+            ({"adc_max": most}, "a whole number from 1 to 65535")
+            for most in (0, 65536, 9.5, np.nan)
+        ),
+        ({"rows": 0}, "a pad has no taxel"),
+    ],
+)
+def test_pads_whose_counts_do_not_fit_into_a_grasp_are_refused(change, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        PadArray.grid(**({"rows": 2, "columns": 2, "pitch_m": 3e-3} | change))
+
+
+@pytest.mark.parametrize("t_s", [[0.0, np.nan, 1.0], [0.0, 2.0, 1.0], [0.0, 1.0, np.inf]])
+def test_times_that_fall_are_refused(t_s) -> None:
+    with pytest.raises(ValueError, match="t_s falls, or has a value that is not finite"):
+        Grasp(pads=PADS, counts=np.ones((3, 8)), t_s=t_s)
+
+
 def test_later_writes_to_an_array_do_not_change_a_grasp_that_was_made_of_it() -> None:
     counts = np.full((3, 8), 5, dtype=np.uint16)
     seen = counts[:]

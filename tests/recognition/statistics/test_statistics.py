@@ -306,6 +306,12 @@ def test_agreeing_grasps_grow_surer_but_less_than_independent_ones():
     assert 0.6 < two < 0.36 / (0.36 + 0.16)
 
 
+def test_a_grasp_without_evidence_changes_no_answer_and_alone_is_no_answer():
+    one, missed = posterior(0.9, 0.1), Posterior.uninformed(LABELS[:2])
+    assert fuse([one, missed, missed]).probabilities == fuse([one]).probabilities
+    assert fuse([missed, missed]).name == UNKNOWN
+
+
 def test_grasps_that_contradict_each_other_speak_for_an_untaught_object():
     a, b = posterior(1, 1e-4, 1e-4, 1e-4), posterior(1e-4, 1, 1e-4, 1e-4)
     assert fuse([a, b]).unknown > 5 * fuse([a, a]).unknown

@@ -30,7 +30,7 @@ from cell.learning.training import calibrate_model, follow_shift, gaugeable, tra
 from cell.recording.dataset import read_grasps
 from cell.runtime.goals import TeachGoal
 from recognition.drift.drift import drift_text
-from recognition.evaluation.evaluation import Evaluation
+from recognition.evaluation.evaluation import MIN_LABELS_FOR_UNKNOWN, Evaluation
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import DEFAULT_TRAINER, trainer_names
@@ -283,8 +283,8 @@ def _lines(result: EvaluationResult) -> Iterator[str | Table]:
     )
     if any(math.isnan(f.full.unknown_auroc) for f in result.recognizers.values()):
         yield (
-            f"-: not measured; AUROC leaves out one object and teaches the others. It needs three "
-            f"objects (here {len(result.labels)}) and a split within each"
+            f"-: not measured; AUROC leaves out one object and teaches the others. It needs "
+            f"{MIN_LABELS_FOR_UNKNOWN} objects (here {len(result.labels)}) and a split within each"
         )
     for name, figures in result.recognizers.items():
         yield from _details(name, figures.full)

@@ -332,6 +332,14 @@ def install(
                 f"{path}: the user {NAME} cannot read {closed}; move it, for example to "
                 f"{STATE_FOLDER} or /opt, or permit it: chmod o+rX"
             )
+    secrets = (checked.serve.token_file, checked.serve.secret_file, checked.serve.tls_key)
+    for path in map(Path, filter(None, secrets)):
+        closed = closed_to_others(path)
+        if closed is not None and closed.group() != NAME:
+            print_note(
+                f"{path}: the user {NAME} cannot read {closed}; give it to its group alone: "
+                f"chgrp {NAME} {closed} && chmod g+rX {closed}"
+            )
     for file, text in files.items():
         path = root / file.relative_to("/")
         if apply:
