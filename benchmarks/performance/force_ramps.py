@@ -175,9 +175,6 @@ class Rig:
         Seeds of the servos, None for typical ones, and of the noise.
     figures, factors
         Motor and gearing instead of the drawn ones, and factors on friction and torque.
-    supervised
-        False where the gripper does not take a part for lost because its fingers run ahead: it
-        does so under laws whose force arrives with a knee.
     settings
         Settings of the gripper that are others than those of the plant.
     """
@@ -192,7 +189,6 @@ class Rig:
         rate_hz: float | None = None,
         figures: Drive | None = None,
         factors: tuple[float, float] = (1.0, 1.0),
-        supervised: bool = True,
         **settings: Any,
     ) -> None:
         self._part, self._relaxed_n = part, 0.0
@@ -226,7 +222,6 @@ class Rig:
             # What a law does is measured here, not what stops it.
             "slip_drop_n": 20.0,
             "slip_travel_m": 0.05,
-            **({} if supervised else {"runaway_travel_m": _UNSUPERVISED_M}),
             "force_max_n": HARD_FORCE_CAP_N,
         }
         own = tuple(ServoSettings(servo_id=i, direction=d) for i, d in enumerate(directions, 1))
@@ -400,13 +395,16 @@ def rig(setup: Setup, case: Case, servos: int | None) -> Rig:
 
     Each case has noise of its own, so that one unlucky noise does not count in all of them.
     """
+    # The gripper takes a part for lost where its fingers run ahead, as under laws whose force
+    # arrives with a knee.
+    unsupervised = {} if setup.law is None else {"runaway_travel_m": _UNSUPERVISED_M}
     return Rig(
         PARTS[case.part],
         NOISE_N,
         servos=servos,
         seed=1000 * (servos or 0) + CASES.index(case),
         rate_hz=setup.rate_hz,
-        supervised=setup.law is None,
+        **unsupervised,
     )
 
 

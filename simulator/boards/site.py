@@ -1,5 +1,6 @@
 """Environment of simulated sensor boards: world, faults and lines."""
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -122,9 +123,9 @@ class SerialBoard:
             del self._sent[0]
         return b"" if self.unplugged else bytes(data[-_MOST_BYTES:])
 
-    def next_event_s(self) -> float | None:
-        """Return when the next bytes reach the host."""
-        return self._sent[0][0] + self._byte_s if self._sent else None
+    def next_event_s(self) -> float:
+        """Return when the next bytes reach the host; infinity: none are under way."""
+        return self._sent[0][0] + self._byte_s if self._sent else math.inf
 
     def drop_pending(self) -> None:
         """Drop bytes in transit."""

@@ -429,7 +429,7 @@ class RealTimeCell:
         self.devices.advance_to(self._world_s)
         self.injector.advance(self._world_s)
         self._server.poll(readable)
-        return min([self._world_s + STEP_S, *(due for due in due_s if due is not None)])
+        return min(self._world_s + STEP_S, *due_s)
 
     def close(self) -> None:
         """Remove terminals, links and socket; a second call has no effect."""

@@ -5,6 +5,7 @@ calls ``poll``.
 """
 
 import fcntl
+import math
 import os
 import struct
 import termios
@@ -106,8 +107,8 @@ class SerialPty:
             return int(_TERMIOS2.unpack(raw)[-1])
         return _BAUD_BY_CONSTANT.get(speed, 0)
 
-    def poll(self, now_s: float) -> float | None:
-        """Transfer bytes both ways without waiting; return the time of the next bytes, or None.
+    def poll(self, now_s: float) -> float:
+        """Transfer bytes both ways without waiting; return the time of the next bytes in s.
 
         Bytes may have waited since the last call. After a stall the owner polls before it advances
         the servos, so that no watchdog trips although a packet came in time.
@@ -143,8 +144,8 @@ class SerialPty:
 class BoardPty(SerialPty):
     """The host's end of a sensor board, which also sends without a reader."""
 
-    def poll(self, now_s: float) -> float | None:
+    def poll(self, now_s: float) -> float:
         """Transfer bytes as `SerialPty`; bytes that do not fit into the terminal are lost."""
         super().poll(now_s)
         self._unsent = b""
-        return self._device.next_event_s() if self.plugged_in else None
+        return self._device.next_event_s() if self.plugged_in else math.inf

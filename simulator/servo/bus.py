@@ -108,13 +108,12 @@ class ServoBusDevice:
             pieces.append(heapq.heappop(queue)[2])
         return b"" if self.faults.unplugged else b"".join(pieces)
 
-    def next_event_s(self) -> float | None:
-        """Return when the next bytes reach the host, None when none are under way."""
-        due_s = self._queue[0][0] if self._queue else None
-        if self.faults.chatter is None or self._burst is None:
-            return due_s
-        next_s = (self._burst + 1) * self.faults.chatter.every_s
-        return next_s if due_s is None else min(due_s, next_s)
+    def next_event_s(self) -> float:
+        """Return when the next bytes reach the host; infinity: none are under way."""
+        due_s = self._queue[0][0] if self._queue else math.inf
+        if self.faults.chatter is not None and self._burst is not None:
+            due_s = min(due_s, (self._burst + 1) * self.faults.chatter.every_s)
+        return due_s
 
     def drop_pending(self) -> None:
         """Drop bytes in transit and incomplete packets, as by an adapter without supply."""
@@ -304,8 +303,9 @@ class SerialDevice(Protocol):
         """Return the bytes that have reached the host by ``now_s``."""
         ...
 
-    def next_event_s(self) -> float | None:
-        """Return when the next bytes reach the host, None when none are under way."""
+    def next_event_s(self) -> float:
+        """Return when the next bytes reach the host; infinity: none are under way."""
+        ...
 
     def drop_pending(self) -> None:
         """Forget bytes under way."""
@@ -348,8 +348,7 @@ class MemoryServoStream:
                 data = bytes(self._input[:size])
                 del self._input[:size]
                 return data
-            due_s = self._device.next_event_s()
-            until_s = deadline_s if due_s is None else min(due_s, deadline_s)
+            until_s = min(self._device.next_event_s(), deadline_s)
             self.clock.sleep(max(until_s - now_s, ROUNDING_S))
             self._check()
 
