@@ -166,7 +166,7 @@ RECOGNIZERS = ("force_ramp", "level_check")
 
 def one_frame(grasp: Grasp, force_n: float) -> Grasp:
     """Return the frames before contact and the one frame at a force: nothing is averaged."""
-    frames = [*range(REST_FRAMES), int(np.argmin(np.abs(grasp.force_n - force_n)))]
+    frames = sorted([*range(REST_FRAMES), int(np.argmin(np.abs(grasp.force_n - force_n)))])
     names = "counts", "t_s", "aperture_m", "force_n"
     return replace(grasp, **{name: getattr(grasp, name)[frames] for name in names})
 
