@@ -23,6 +23,8 @@ class Watched:
         self.watch = PartWatch(self.grip, contact_n_m=1e4)
         self.now_s, self.force_n, self.frame_n = 0.0, force_n, force_n
         self.closing_m_s, self.pressing_n, self.noise_n = 0.0, 6.0, 0.05
+        self.valid = self.scans = True
+        """Whether samples are valid, and whether new frames come."""
         self.first_share = 1.0
         """Share of its speed that the first finger has."""
         self.aperture_m = STATE.aperture_m
@@ -36,13 +38,14 @@ class Watched:
         self.now_s += PERIOD_S
         self.aperture_m -= PERIOD_S * self.closing_m_s
         frame_s = 0.02 * (self.now_s // 0.02)
-        if frame_s > self._frame[0]:
+        if self.scans and frame_s > self._frame[0]:
             self._frame = frame_s, (self.frame_n, self.frame_n)
         sample = ForceSample(
             t_s=self.now_s,
             force_n=(self.force_n, self.force_n),
             lag_s=0.0015,
             noise_n=self.noise_n,
+            valid=self.valid,
             frame_s=self._frame[0],
             frame_n=self._frame[1],
         )
@@ -104,6 +107,23 @@ def test_much_force_that_is_gone_at_once_is_doubted_and_a_frame_confirms_it(watc
         assert periods < 10
     assert watched.watch.suspicious
     assert not watched.watch.ran
+
+
+def test_a_force_that_is_gone_waits_for_a_frame_from_after_it(watched: Watched) -> None:
+    watched.scans, watched.pressing_n = False, 1.0
+    watched.force_n = watched.frame_n = 0.0
+    assert not watched.period(40)
+    assert watched.watch.suspicious
+    watched.scans = True
+    assert watched.period(5)
+
+
+@pytest.mark.parametrize("closing_m_s", [0.0, 0.03])
+def test_samples_that_are_not_valid_show_no_lost_part(watched: Watched, closing_m_s) -> None:
+    watched.valid, watched.closing_m_s = False, closing_m_s
+    watched.force_n = watched.frame_n = 0.0
+    assert not watched.period(25)
+    assert watched.watch._suspicion is None
 
 
 def test_fingers_that_run_together_confirm_it(watched: Watched) -> None:
