@@ -17,6 +17,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from functools import cache
 from math import copysign
+from statistics import fmean
 from typing import Any, NamedTuple
 from unittest import mock
 
@@ -336,7 +337,8 @@ class PlainPi:
         self._integral_n += self.integral_per_s * error_n * dt_s
         self._integral_n = min(max(self._integral_n, -period.friction_n), period.friction_n)
         rises = copysign(1.0, grip.rate_n_s or error_n) > 0.0
-        edge_n = setpoint_n + period.friction_n if rises else period.yielding_n(setpoint_n)
+        yielding_n = fmean([path.yielding_n(setpoint_n) for path in period.paths])
+        edge_n = setpoint_n + period.friction_n if rises else yielding_n
         wanted_n = edge_n + self.gain * error_n + self._integral_n
         grip.balance_n = max(wanted_n, -period.friction_n)
         return grip.balance_n
