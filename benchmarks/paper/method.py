@@ -218,6 +218,15 @@ def _companion(Q: Matrices) -> Matrices:
     return _qr(C)
 
 
+def _power(Q: Matrices) -> Matrices:
+    """Iterate v <- Q^-1 v, 60 times, then take Rayleigh's quotient."""
+    inverse, v = np.linalg.inv(Q), np.ones((len(Q), Q.shape[-1], 1), dtype=Q.dtype)
+    for _ in range(60):
+        v = inverse @ v
+        v /= np.linalg.norm(v, axis=1, keepdims=True)
+    return np.abs(1 / (np.swapaxes(v, 1, 2) @ inverse @ v)[:, 0, 0])
+
+
 def _qr(Q: Matrices) -> Matrices:
     return np.abs(np.linalg.eigvals(Q)).min(axis=-1)
 
@@ -229,6 +238,7 @@ def _symmetric_qr(Q: Matrices) -> Matrices:
 SOLVERS: Mapping[str, Callable[[Matrices], Matrices]] = {
     "characteristic polynomial": _polynomial,
     "companion matrix": _companion,
+    "power method on the inverse": _power,
     "QR (eigvals)": _qr,
     "symmetric QR (eigvalsh)": _symmetric_qr,
 }

@@ -188,6 +188,7 @@ def test_the_simulated_servos_follow_the_logs_of_real_ones(capsys) -> None:
 # -- The paper's mathematics: "What holds" in docs/developers/paper.md -----------------------------
 
 
+UNUSABLE = ("characteristic polynomial", "companion matrix")
 TRUE = {
     "eq. (5), (6): the bound is the least eigenvalue",
     "eq. (4): descents end at it",
@@ -201,7 +202,7 @@ TRUE = {
     "form (7): translation keeps the smallest_magnitude",
     "full quadrics: scale keeps the algebraic_minimum",
     *(f"{solver}: within 8 % in float64" for solver in SOLVERS),
-    *(f"{solver}: within 8 % in float32" for solver in SOLVERS if "QR" in solver),
+    *(f"{solver}: within 8 % in float32" for solver in SOLVERS if solver not in UNUSABLE),
 }
 
 
@@ -215,7 +216,7 @@ def test_each_claim_of_the_paper_has_the_verdict_of_the_page() -> None:
         [15.0] * 5, abs=0.01
     )
     assert rows["bands: none overlap after the sweep"][0] == 1.0
-    assert len(rows) == 39
+    assert len(rows) == 41
     assert np.diag(column_sums(translation([3.0, 0.0, 0.0]))).tolist() == [1.0, 1.0, 1.0, 4.0]
 
 
