@@ -17,7 +17,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from functools import cache
 from math import copysign
-from statistics import fmean
 from typing import Any, NamedTuple
 from unittest import mock
 
@@ -33,7 +32,7 @@ from gripper.force.control.law import Period
 from gripper.force.estimates.grip import Grip
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper
-from gripper.mechanics.kinematics import ParallelLinkage
+from gripper.mechanics.kinematics import ParallelLinkage, mean_yielding_n
 from gripper.settings import HARD_FORCE_CAP_N, GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
@@ -337,7 +336,7 @@ class PlainPi:
         self._integral_n += self.integral_per_s * error_n * dt_s
         self._integral_n = min(max(self._integral_n, -period.friction_n), period.friction_n)
         rises = copysign(1.0, grip.rate_n_s or error_n) > 0.0
-        yielding_n = fmean([path.yielding_n(setpoint_n) for path in period.paths])
+        yielding_n = mean_yielding_n(period.paths, setpoint_n)
         edge_n = setpoint_n + period.friction_n if rises else yielding_n
         wanted_n = edge_n + self.gain * error_n + self._integral_n
         grip.balance_n = max(wanted_n, -period.friction_n)

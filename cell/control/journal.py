@@ -21,7 +21,7 @@ from tactile.source import TactileFrame
 def loop_values(statistics: LoopStatistics, *, undelivered: int = 0) -> dict[str, float]:
     """Return the counts and times of the force loop that a recording has, as a flat mapping."""
     values = asdict(statistics) | {"undelivered": undelivered}
-    for name, value in asdict(statistics).items():
+    for name, value in tuple(values.items()):
         if isinstance(value, dict):
             values |= {f"{name}_{part}": one for part, one in value.items()}
     return {name: values[name] for name in schema.LoopStatistics.__annotations__ if name in values}

@@ -251,6 +251,11 @@ def mean_friction_n(paths: Sequence[Transmission]) -> float:
     return sum([path.friction_n for path in paths]) / len(paths)
 
 
+def mean_yielding_n(paths: Sequence[Transmission], force_n: float) -> float:
+    """Return the drive in N at which a force in N begins to fall, the mean of the servos."""
+    return sum([path.yielding_n(force_n) for path in paths]) / len(paths)
+
+
 def driving_n(state: ServoFeedback, paths: Sequence[Transmission]) -> float:
     """Return the driving force in N of the measured currents, without friction."""
     drive_n = 0.0

@@ -29,7 +29,7 @@ from gripper.force.control.observer import GripObserver
 from gripper.force.estimates.grip import Grip, History
 from gripper.force.loop import Moment
 from gripper.mechanics.impact import CURRENT_S, ImpactLimit, current_share, impact_limit
-from gripper.mechanics.kinematics import Transmission, driving_n
+from gripper.mechanics.kinematics import Transmission, driving_n, mean_yielding_n
 from gripper.servos.goal_limits import MOST_STICTION, pressing_speed_m_s
 from gripper.values.force_sensor import FRAME_S, LOOK_BACK_S, ForceSample
 from gripper.values.state import ServoFeedback
@@ -287,8 +287,7 @@ class ForceLaw:
         friction_n = fmean(
             [path.drive.moving_a(speed_m_s / path.radius_m) * path.n_per_a for path in period.paths]
         )
-        yielding_n = fmean([path.yielding_n(force_n) for path in period.paths])
-        held_n = force_n - period.friction_n - yielding_n
+        held_n = force_n - period.friction_n - mean_yielding_n(period.paths, force_n)
         return friction_n, max(friction_n + held_n, _LEAST_OPENING_SHARE * friction_n)
 
     def _advance_plan(self, period: Period) -> None:
