@@ -12,7 +12,7 @@ from cell.config.model import CellConfig
 from cell.config.positioner import ServoAxisConfig
 from cell.control.axes import AxesPositioner, drive_axes, servo_axis
 from cell.control.controller import CellController
-from cell.control.journal import Journal, link_values, loop_values
+from cell.control.journal import Journal, counters
 from cell.control.plan import Pose
 from cell.control.positioner import (
     CallbackPositioner,
@@ -128,8 +128,7 @@ class Cell:
     def health(self) -> dict[str, Any]:
         """Return the counters of both links, the loop and faults."""
         statistics, life = self.controller.hand.statistics, self.controller.life
-        return link_values(statistics) | {
-            "loop": loop_values(statistics.loop, undelivered=statistics.undelivered),
+        return counters(statistics) | {
             "recording": self.recording_fault,
             "faults": {str(number): n for number, n in tuple(life.faults.items())},
         }

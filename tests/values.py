@@ -76,7 +76,7 @@ def make_cycle(t_s: float = 1.0, **changes: Any) -> Cycle:
 
 
 HAND_STATISTICS = HandStatistics(
-    loop=LoopStatistics(cycles=5, worst_lateness_s=0.1, lateness=Distribution(n=5, max_s=0.1)),
+    loop=LoopStatistics(cycles=5, lateness=Distribution(n=5, max_s=0.1)),
     servo_bus=BusStatistics(transactions=3),
     source=SourceStatistics(frames=FrameStatistics(complete=4)),
 )

@@ -18,22 +18,14 @@ from recognition.grasp import Grasp
 from tactile.source import TactileFrame
 
 
-def loop_values(statistics: LoopStatistics, *, undelivered: int = 0) -> dict[str, float]:
-    """Return the counts and times of the force loop that a recording has, as a flat mapping."""
-    values = asdict(statistics) | {"undelivered": undelivered}
-    for name, value in tuple(values.items()):
-        if isinstance(value, dict):
-            values |= {f"{name}_{part}": one for part, one in value.items()}
-    return {name: values[name] for name in schema.LoopStatistics.__annotations__ if name in values}
-
-
-def link_values(statistics: HandStatistics) -> dict[str, dict[str, int]]:
-    """Return the counts of the tactile sensor, its link and the servo bus."""
+def counters(statistics: HandStatistics) -> dict[str, dict[str, Any]]:
+    """Return the counts and times of the force loop, the tactile sensor and the servo bus."""
     source = asdict(statistics.source)
     frames, forces = source.pop("frames"), source.pop("forces")
     del source["recent_loss_rate"]
     forces = {f"force_{name}": count for name, count in forces.items()}
     return {
+        "loop": asdict(statistics.loop) | {"undelivered": statistics.undelivered},
         "tactile": frames | source | forces | asdict(statistics.sensor),
         "servo_bus": asdict(statistics.servo_bus),
     }
@@ -48,7 +40,7 @@ def loop_line(statistics: LoopStatistics, period_s: float) -> str:
         return "Force loop: on time."
     return (
         f"Force loop: of {statistics.cycles:,} periods of {period_s * 1e3:g} ms {late} were late, "
-        f"by up to {statistics.worst_lateness_s * 1e3:.1f} ms, {missed} without an answer of the "
+        f"by up to {statistics.lateness.max_s * 1e3:.1f} ms, {missed} without an answer of the "
         "servos."
     )
 
@@ -113,8 +105,8 @@ class Journal:
 
     def loop(self, statistics: HandStatistics) -> None:
         """Record the timing of the force loop so far, and the counts of both links."""
-        loop = loop_values(statistics.loop, undelivered=statistics.undelivered)
-        self._now(schema.LOOP, loop | link_values(statistics))
+        links = counters(statistics)
+        self._now(schema.LOOP, links.pop("loop") | links)
 
     def result(self, answer: Identification) -> None:
         """Record the answer of a sequence and its complaints."""

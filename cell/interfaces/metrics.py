@@ -10,7 +10,7 @@ from cell.service.service import Service
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 """Format of `metrics_text`."""
 _QUANTILES = {"0.5": "p50_s", "0.99": "p99_s", "0.999": "p999_s", "1": "max_s"}
-"""Quantiles of the lateness of the force loop, and their names in `loop_values`."""
+"""Quantiles of the lateness of the force loop, and their names in `Distribution`."""
 _COUNTERS = (
     ("frames", "Tactile frames handed out", "tactile", "complete"),
     ("frames_lost", "Tactile frames that were lost", "tactile", "lost"),
@@ -89,7 +89,7 @@ def _families(service: Service) -> Iterator[_Family]:
             for way, key in ways.items()
         }
         yield name, "gauge", meaning, directed
-    late = {_labels(quantile=q): loop[f"lateness_{key}"] for q, key in _QUANTILES.items()}
+    late = {_labels(quantile=q): loop["lateness"][key] for q, key in _QUANTILES.items()}
     yield "loop_lateness_seconds", "gauge", "How late periods of the force loop began", late
     parts = sorted(totals.parts.items())
     results = {_labels(label=label, result=result): n for (label, result), n in parts}

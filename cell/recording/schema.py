@@ -56,6 +56,8 @@ Integer = Annotated[int, Field(ge=-(1 << 63), le=(1 << 63) - 1)]
 """A number of 64 bits."""
 Sample = Annotated[int, Field(ge=0, le=0xFFFF)]
 """A raw count of a taxel."""
+Durations = dict[str, Number]
+"""Quantiles of durations as `gripper.force.timing.Distribution` has them."""
 
 
 def _within(name: str) -> Any:
@@ -191,32 +193,14 @@ class LoopStatistics(_Record):
     """periods without feedback"""
     undelivered: Natural
     """periods that did not reach the recording"""
-    worst_lateness_s: NotRequired[Number]
-    """largest lateness, s"""
-    lateness_p50_s: NotRequired[Number]
-    """how late periods began, s: 50 % at most"""
-    lateness_p99_s: NotRequired[Number]
-    """how late periods began, s: 99 % at most"""
-    lateness_p999_s: NotRequired[Number]
-    """how late periods began, s: 99.9 % at most"""
-    lateness_max_s: NotRequired[Number]
-    """how late periods began, s: the longest"""
-    transaction_p50_s: NotRequired[Number]
-    """time to read the servos, s: 50 % at most"""
-    transaction_p99_s: NotRequired[Number]
-    """time to read the servos, s: 99 % at most"""
-    transaction_p999_s: NotRequired[Number]
-    """time to read the servos, s: 99.9 % at most"""
-    transaction_max_s: NotRequired[Number]
-    """time to read the servos, s: the longest"""
-    sensor_age_p50_s: NotRequired[Number]
-    """age of the force when it was used, s: 50 % at most"""
-    sensor_age_p99_s: NotRequired[Number]
-    """age of the force when it was used, s: 99 % at most"""
-    sensor_age_p999_s: NotRequired[Number]
-    """age of the force when it was used, s: 99.9 % at most"""
-    sensor_age_max_s: NotRequired[Number]
-    """age of the force when it was used, s: the longest"""
+    derated: Natural
+    """periods in which the heat of a winding lowered the cap of the current"""
+    lateness: Durations
+    """how late periods began, s: number, largest of 50, 99 and 99.9 %, the longest"""
+    transaction: Durations
+    """time to read the servos, s: the same"""
+    sensor_age: Durations
+    """age of the force when it was used, s: the same"""
     tactile: NotRequired[dict[str, Integer]]
     """frames, messages and requests of the tactile sensor since its last start"""
     servo_bus: NotRequired[dict[str, Integer]]

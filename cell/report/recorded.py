@@ -484,27 +484,25 @@ def count(name: str, n: int, total: int, note: str = "") -> HealthRow:
 
 
 def _loop(values: Mapping[str, Any], period_s: float) -> list[HealthRow]:
-    def ms(name: str) -> str:
-        return f"{values[name] * 1e3:.2f}"
+    def ms(group: str, name: str) -> str:
+        return f"{values[group][name] * 1e3:.2f}"
 
-    periods, worst_s = values["cycles"], values["worst_lateness_s"]
+    periods, worst_s = values["cycles"], values["lateness"]["max_s"]
     punctual: State = (
         "ok" if worst_s < 0.5 * period_s else "warn" if worst_s < 2 * period_s else "bad"
     )
-    tail = ", ".join(
-        f"{name} {ms(f'lateness_{key}_s')}"
-        for name, key in (("p50", "p50"), ("p99", "p99"), ("p99.9", "p999"))
-    )
+    quantiles = {"p50": "p50_s", "p99": "p99_s", "p99.9": "p999_s"}
+    tail = ", ".join(f"{name} {ms('lateness', key)}" for name, key in quantiles.items())
     return [
         HealthRow("periods", f"{periods:,}", note=f"of {period_s * 1e3:.1f} ms"),
         count("late", values["late"], periods, "by more than half a period"),
         count("overruns", values["overruns"], periods, "work not done when the next was due"),
         count("missed_reads", values["missed_reads"], periods, "no write to the servos"),
-        HealthRow("worst lateness", f"{ms('worst_lateness_s')} ms", punctual, f"{tail} ms"),
+        HealthRow("worst lateness", f"{ms('lateness', 'max_s')} ms", punctual, f"{tail} ms"),
         HealthRow(
             "reading the servos",
-            f"{ms('transaction_p50_s')} ms",
-            note=f"median; p99 {ms('transaction_p99_s')} ms",
+            f"{ms('transaction', 'p50_s')} ms",
+            note=f"median; p99 {ms('transaction', 'p99_s')} ms",
         ),
-        HealthRow("oldest force used", f"{values['sensor_age_max_s'] * 1e3:.0f} ms"),
+        HealthRow("oldest force used", f"{values['sensor_age']['max_s'] * 1e3:.0f} ms"),
     ]

@@ -66,8 +66,6 @@ class LoopStatistics:
     """Periods without feedback; nothing was written in them."""
     derated: int = 0
     """Periods in which the heat of a winding lowered the cap of the current."""
-    worst_lateness_s: float = 0.0
-    """Largest lateness in s."""
     lateness: Distribution = field(default_factory=Distribution)
     """Lateness of the start of each period."""
     transaction: Distribution = field(default_factory=Distribution)
@@ -128,7 +126,6 @@ class LoopTimer:
             late=self._late,
             missed_reads=self.missed_reads,
             derated=self.derated,
-            worst_lateness_s=lateness.max_s,
             lateness=lateness,
             transaction=self.transaction.distribution(),
             sensor_age=self.sensor_age.distribution(),

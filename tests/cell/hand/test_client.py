@@ -22,7 +22,7 @@ import pytest
 
 from cell.config.file import parse_config
 from cell.config.model import CellConfig, LoopConfig
-from cell.control.journal import loop_line, loop_values
+from cell.control.journal import loop_line
 from cell.errors import CellStopped, HandLost, HostSilent
 from cell.hand import client, real_time, server
 from cell.hand.client import HandProcess, LoopProcess
@@ -458,16 +458,13 @@ def test_garbage_is_collected_between_jobs_only(monkeypatch) -> None:
 
 def test_one_line_says_whether_the_loop_was_on_time() -> None:
     counts = {"cycles": 12_345, "overruns": 3, "late": 2, "missed_reads": 1}
-    late = Distribution(n=9, p999_s=9e-4)
-    statistics = LoopStatistics(**counts, worst_lateness_s=1.25e-3, lateness=late)
+    statistics = LoopStatistics(**counts, lateness=Distribution(n=9, max_s=1.25e-3))
     assert loop_line(statistics, 0.005) == (
         "Force loop: of 12,345 periods of 5 ms 5 were late, by up to 1.2 ms, 1 without an answer "
         "of the servos."
     )
     assert loop_line(LoopStatistics(cycles=9), 0.005) == "Force loop: on time."
     assert loop_line(LoopStatistics(), 0.005) == "Force loop: no figures."
-    values = loop_values(statistics, undelivered=2)
-    assert (values["lateness_p999_s"], values["undelivered"]) == (9e-4, 2)
 
 
 @pytest.mark.parametrize(("priority", "granted"), [(0, True), (49, True), (49, False)])

@@ -7,7 +7,7 @@ import shutil
 import sys
 from collections import defaultdict
 from copy import copy
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from cell.config.file import recorded_config
-from cell.control.journal import loop_values
 from cell.errors import MissingExtraError, RecordingError, ReportError
 from cell.recording.reader import Recording, read_recording
 from cell.recording.recorder import Recorder
@@ -44,7 +43,7 @@ from cell.report.recorded import (
     recorded_report,
 )
 from cell.report.shapes import MAX_BARS, shapes_view
-from gripper.force.timing import LoopStatistics
+from gripper.force.timing import Distribution, LoopStatistics
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.statistics.fusion import fuse
 from tactile.layout import paper_layout
@@ -231,18 +230,18 @@ def test_health_marks_what_is_wrong() -> None:
         return {row.name: row.state for row in rows}
 
     def loop(**counts: Any) -> dict[str, str]:
-        return states(0.005, **loop_values(LoopStatistics(**counts)))
+        return states(0.005, **asdict(LoopStatistics(**counts)))
 
     frames = states(tactile=defaultdict(int, complete=1000, lost=1, corrupt=11))
     assert (frames["lost"], frames["corrupt"], frames["torn"]) == ("warn", "bad", "ok")
     assert states(tactile=defaultdict(int, lost=1))["complete"] == "bad"
     bus = states(servo_bus=defaultdict(int, transactions=1000, retries=1, timeouts=20))
     assert (bus["transactions"], bus["retries"], bus["timeouts"]) == ("ok", "warn", "bad")
-    assert loop(cycles=1000, late=2, worst_lateness_s=0.011) == {
+    assert loop(cycles=1000, late=2, lateness=Distribution(max_s=0.011)) == {
         "periods": "plain", "late": "warn", "overruns": "ok", "missed reads": "ok",
         "worst lateness": "bad", "reading the servos": "plain", "oldest force used": "plain",
     }  # fmt: skip
-    assert loop(worst_lateness_s=0.004)["worst lateness"] == "warn"
+    assert loop(lateness=Distribution(max_s=0.004))["worst lateness"] == "warn"
 
 
 @pytest.mark.parametrize("missing", ["jinja2", "matplotlib"])
