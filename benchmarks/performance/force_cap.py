@@ -82,7 +82,8 @@ def drawn_changes(seed: int) -> dict[str, Any]:
         * MODELS[model].stall_current_a,
         "sequence.force_n": [force_n, force_n],
         "sequence.carry_force_n": force_n,
-        "sequence.ramp": {"kind": "linear", "rate_n_s": rate_n_s, "hold_s": 0.1},
+        "sequence.ramp.rate_n_s": rate_n_s,
+        "sequence.ramp.hold_s": 0.1,
     }
 
 

@@ -17,7 +17,6 @@ from cell.commissioning.engine import LIVE_CALL_S, RESUME, Dialog, Step, StepFai
 from cell.commissioning.findings import Notes, ProposedChange, commission_command
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.config.sequence import ramp_from_config
 from cell.control.zeroing import drive_text, homing_offsets, part_between, stored_zeros
 from cell.hand.client import HandProcess
 from cell.hand.interface import Hand
@@ -281,7 +280,7 @@ class _Trial:
         measured: list[list[float]] = []
         for force_n in dict.fromkeys((first_n, max(first_n, most_n))):
             follow = self.hand.squeeze if measured else self.hand.grasp
-            outcome = follow(ramp_from_config(ramp, force_n), self)
+            outcome = follow(ramp.to(force_n), self)
             if outcome.result in (GraspResult.NO_CONTACT, GraspResult.PART_LOST):
                 raise StepFailed(
                     f"The fingers hold nothing ({outcome.result.value}): hold the part in the "

@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from cell.config.gripper import GripperConfig, gripper_settings, linkage_of
 from cell.config.positioner import AxesCanConfig, PositionerConfig, ServoAxisConfig, SortConfig
 from cell.config.section import SIMULATED, Installed, Section, setting_of
-from cell.config.sequence import SequenceConfig, ramp_from_config
+from cell.config.sequence import SequenceConfig
 from cell.config.serve import ServeConfig
 from cell.config.simulator import SimulatorConfig
 from cell.config.tactile import TactileConfig, layout_from_config, make_calibration
@@ -195,7 +195,7 @@ class CellConfig(Section):
             speed_m_s = check_approach(self.gripper_settings, self.linkage)
         key = "force_n" if most_n in self.sequence.forces_n else "carry_force_n"
         with raised_as(ValueError, LimitExceeded, where=f"gripper and sequence.{key}"):
-            ramp = ramp_from_config(self.sequence.ramp, most_n)
+            ramp = self.sequence.ramp.to(most_n)
             check_ramp(ramp, self.gripper_settings, self.linkage)
         gripper, tactile = self.gripper, self.tactile
         most_hz = largest_rate_hz(gripper.baud_rate, len(gripper.servos))

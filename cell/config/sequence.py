@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field
 
 from cell.config.section import Section
 from gripper.force.ramp import ForceRamp
@@ -28,39 +28,20 @@ Offset = Annotated[Range, _within(-100.0, 100.0)]
 Turn = Annotated[Range, _within(-360.0, 360.0)]
 
 
-class LinearRampConfig(Section):
-    """Force grows linearly to its end, then is held."""
+class RampConfig(Section):
+    """The force grows in a straight line to its end, or in equal steps; each level is held."""
 
-    kind: Literal["linear"] = "linear"
-    """Shape of the force ramp."""
+    levels: int = Field(default=1, ge=1, le=20)
+    """Number of equal steps up to the final force, 1 to 20."""
     rate_n_s: float = Field(default=20.0, ge=0.1, le=50.0)
     """Growth of the force in N/s, 0.1 to 50."""
     hold_s: float = Field(default=0.1, ge=0.0, le=60.0)
-    """Time at the final force in s, up to 60."""
-
-
-class StaircaseRampConfig(Section):
-    """Force grows in equal steps, each held."""
-
-    kind: Literal["staircase"]
-    """Shape of the force ramp."""
-    n_levels: int = Field(default=4, ge=1, le=20)
-    """Number of equal steps up to the final force, 1 to 20."""
-    rate_n_s: float = Field(default=10.0, ge=0.1, le=50.0)
-    """Growth of the force between the levels in N/s, 0.1 to 50."""
-    hold_s: float = Field(default=0.2, ge=0.0, le=60.0)
     """Time at each level in s, up to 60."""
 
-
-class SCurveRampConfig(Section):
-    """Force grows with a smooth start and end, then is held."""
-
-    kind: Literal["s_curve"]
-    """Shape of the force ramp."""
-    duration_s: float = Field(default=1.0, gt=0.05, le=60.0)
-    """Time from contact to the final force in s, 0.05 to 60."""
-    hold_s: float = Field(default=0.3, ge=0.0, le=60.0)
-    """Time at the final force in s, up to 60."""
+    def to(self, force_n: float) -> ForceRamp:
+        """Return the ramp that ends at ``force_n`` N."""
+        levels_n = [force_n * (index + 1) / self.levels for index in range(self.levels)]
+        return ForceRamp.staircase(levels_n, rate_n_s=self.rate_n_s, hold_s=self.hold_s)
 
 
 class ListedPoseConfig(Section):
@@ -81,8 +62,6 @@ class ListedPoseConfig(Section):
 class SequenceConfig(Section):
     """Poses and forces of a sequence, and its stop rule."""
 
-    kind: Literal["random", "grid", "list"] = "random"
-    """random: poses drawn from the ranges; grid: spread evenly over them; list: listed poses."""
     x_mm: Offset = (-2.0, 2.0)
     """Range of the offset along the fingers in mm, within -100 to 100."""
     y_mm: Offset = (-2.0, 2.0)
@@ -93,13 +72,9 @@ class SequenceConfig(Section):
     """Range of the turn about the object's own axis in degrees, within -360 to 360."""
     force_n: Annotated[Range, _within(0.5, 50.0)] = (2.0, 8.0)
     """Range of the force at the end of the ramp in N, within 0.5 to 50."""
-    grid_points: int = Field(default=3, ge=1, le=20)
-    """Values on each axis of a grid whose range is not one value, 1 to 20."""
     poses: tuple[ListedPoseConfig, ...] = Field(default=(), max_length=10000)
-    """Poses of a list, in order."""
-    ramp: Annotated[
-        LinearRampConfig | StaircaseRampConfig | SCurveRampConfig, Field(discriminator="kind")
-    ] = LinearRampConfig()
+    """Poses and forces in order; without any they are drawn from the ranges."""
+    ramp: RampConfig = RampConfig()
     """Growth of the force."""
     max_grasps: int = Field(default=4, ge=1, le=100)
     """Most grasps of one identification, 1 to 100."""
@@ -114,12 +89,6 @@ class SequenceConfig(Section):
     """fixture: a released part stays in place, so that further grasps take it at other poses; none:
     a released part is gone, so there is one grasp, with further ramps in the same grip."""
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        if self.kind == "list" and not self.poses:
-            raise ValueError("a sequence of kind list needs at least one entry in poses")
-        return self
-
     def with_force(self, force_n: float) -> Self:
         """Return the same poses with one force at the end of each ramp, in N."""
         poses = tuple(pose.model_copy(update={"force_n": force_n}) for pose in self.poses)
@@ -129,7 +98,7 @@ class SequenceConfig(Section):
     def ranges(self) -> dict[str, Range]:
         """Smallest and largest value of each part of a pose, and of the force, by their keys."""
         names = list(ListedPoseConfig.model_fields)
-        if self.kind != "list":
+        if not self.poses:
             return {name: getattr(self, name) for name in names}
         listed = {name: [getattr(pose, name) for pose in self.poses] for name in names}
         return {name: (min(values), max(values)) for name, values in listed.items()}
@@ -138,17 +107,3 @@ class SequenceConfig(Section):
     def forces_n(self) -> Range:
         """Smallest and largest force of the sequence in N."""
         return self.ranges["force_n"]
-
-
-def ramp_from_config(
-    config: LinearRampConfig | StaircaseRampConfig | SCurveRampConfig, force_n: float
-) -> ForceRamp:
-    """Return the ramp of the configured shape that ends at ``force_n`` N."""
-    match config:
-        case LinearRampConfig():
-            return ForceRamp.linear(force_n, rate_n_s=config.rate_n_s, hold_s=config.hold_s)
-        case StaircaseRampConfig():
-            levels_n = tuple(force_n * (i + 1) / config.n_levels for i in range(config.n_levels))
-            return ForceRamp.staircase(levels_n, rate_n_s=config.rate_n_s, hold_s=config.hold_s)
-        case SCurveRampConfig():
-            return ForceRamp.s_curve(force_n, duration_s=config.duration_s, hold_s=config.hold_s)

@@ -6,7 +6,6 @@ from math import inf
 from typing import TypeVar
 
 from cell.config.model import CellConfig
-from cell.config.sequence import ramp_from_config
 from cell.control.identification import EarlyDecider, Identification, Judge, OnGrasp, ReadShape
 from cell.control.journal import Journal
 from cell.control.kept_part import KeptPart, open_counts
@@ -387,7 +386,7 @@ class CellController:
         self.hand.check_ramp(self._ramp(self._borne(step)))
 
     def _ramp(self, step: GraspStep) -> ForceRamp:
-        return ramp_from_config(self._config.sequence.ramp, step.force_n)
+        return self._config.sequence.ramp.to(step.force_n)
 
     def _borne(self, step: GraspStep) -> GraspStep:
         """Return a step with no more force than the servos, as measured, make of their current."""

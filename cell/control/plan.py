@@ -1,6 +1,5 @@
 """Plans of grasp-then-classify sequences: an ordered list of poses and forces. Pure functions."""
 
-import itertools
 import math
 from dataclasses import asdict, dataclass
 from enum import StrEnum
@@ -69,54 +68,20 @@ class GraspStep:
         return GraspCommand(**asdict(self.pose), force_n=self.force_n)
 
 
-def _levels(low: float, high: float, count: int) -> list[float]:
-    """Spread ``count`` values evenly over a range; a single value is its middle."""
-    if count == 1:
-        return [0.5 * (low + high)]
-    return [low + (high - low) * i / (count - 1) for i in range(count)]
-
-
-def plan_grid(config: SequenceConfig, n_grasps: int) -> tuple[GraspStep, ...]:
-    """Walk a grid over position, rotation, roll and force.
-
-    The grid has ``grid_points`` values on each axis with a range. Its strides are coprime to its
-    size, so that already the first grasps differ in all axes. It starts again when ``n_grasps``
-    exceeds its size.
-    """
-    ranges = config.ranges.values()
-    axes = [_levels(low, high, config.grid_points if high > low else 1) for low, high in ranges]
-    grid = list(itertools.product(*axes))
-    stride = max(1, int(len(grid) * 0.618))
-    while math.gcd(stride, len(grid)) != 1:
-        stride += 1
-    return tuple(_step(*grid[(i * stride) % len(grid)]) for i in range(n_grasps))
-
-
-def plan_random(config: SequenceConfig, n_grasps: int, *, seed: int) -> tuple[GraspStep, ...]:
-    """Draw poses and forces evenly from their ranges; the same seed gives the same plan."""
-    rng = np.random.default_rng(seed)
-    low, high = np.array(list(config.ranges.values())).T
-    return tuple(_step(*row) for row in rng.uniform(low, high, size=(n_grasps, len(low))).tolist())
-
-
-def plan_list(config: SequenceConfig, n_grasps: int) -> tuple[GraspStep, ...]:
-    """Take the listed poses in order; start again when ``n_grasps`` exceeds the list."""
-    listed = [_step(**pose.model_dump()) for pose in config.poses]
-    return tuple(listed[i % len(listed)] for i in range(n_grasps))
-
-
 def plan(config: SequenceConfig, n_grasps: int, *, seed: int) -> tuple[GraspStep, ...]:
-    """Plan ``n_grasps`` grasps of the config's ``kind``.
+    """Plan ``n_grasps`` grasps: the listed poses, or else poses and forces drawn from the ranges.
 
-    Raises ValueError if ``n_grasps`` is below 1.
+    A list starts again after its end. The same seed draws the same plan. Raises ValueError if
+    ``n_grasps`` is below 1.
     """
     if n_grasps < 1:
         raise ValueError(f"a plan of {n_grasps} grasps is empty; plan at least 1")
-    if config.kind == "grid":
-        return plan_grid(config, n_grasps)
-    if config.kind == "list":
-        return plan_list(config, n_grasps)
-    return plan_random(config, n_grasps, seed=seed)
+    if config.poses:
+        listed = [_step(**pose.model_dump()) for pose in config.poses]
+        return tuple(listed[i % len(listed)] for i in range(n_grasps))
+    rng = np.random.default_rng(seed)
+    low, high = np.array(list(config.ranges.values())).T
+    return tuple(_step(*row) for row in rng.uniform(low, high, size=(n_grasps, len(low))).tolist())
 
 
 def _step(

@@ -17,7 +17,6 @@ from scipy.signal import lfilter
 
 from cell.config.gripper import ParallelLinkageConfig
 from cell.config.model import CellConfig
-from cell.config.sequence import ramp_from_config
 from cell.config.tactile import layout_from_config
 from cell.control.plan import GraspStep, Pose, plan
 from cell.control.records import pad_array
@@ -406,7 +405,7 @@ def teach_drawing(
             grasp = virtual.grasp(
                 drawing,
                 step,
-                ramp_from_config(config.sequence.ramp, step.force_n),
+                config.sequence.ramp.to(step.force_n),
                 rng,
                 label=label,
                 shape=kind,

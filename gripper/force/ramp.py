@@ -1,8 +1,8 @@
 """Force ramp: the set-point of the grip force over time as a value, its limits and its end."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import cos, inf, pi
+from dataclasses import dataclass, replace
+from math import inf
 
 from gripper.errors import LimitExceeded
 from gripper.mechanics.impact import check_approach
@@ -13,33 +13,30 @@ from gripper.settings import GripperSettings, check_number
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RampSegment:
-    """One piece of a ramp."""
+    """One piece of a ramp: a straight line.
+
+    The force law plans a force whose rate does not jump at its ends.
+    """
 
     duration_s: float
     """Length of the piece in s."""
     start_n: float
     end_n: float
     """Force at its ends in N."""
-    smooth: bool = False
-    """False for a straight line, True for half a cosine (no jump of the rate at the ends)."""
     level: int | None = None
     """Index of the level of a hold; None while the force changes."""
 
     @property
     def rate_n_s(self) -> float:
-        """Largest magnitude of the rate within the piece in N/s."""
+        """Magnitude of the rate in N/s."""
         change_n = abs(self.end_n - self.start_n)
-        if change_n == 0.0:
-            return 0.0
-        return change_n / self.duration_s * (pi / 2.0 if self.smooth else 1.0)
+        return change_n / self.duration_s if change_n > 0.0 else 0.0
 
     def force_n(self, elapsed_s: float) -> float:
         """Return the force in N at a time within the piece."""
         if self.duration_s <= 0.0 or elapsed_s >= self.duration_s:
             return self.end_n
         share = max(0.0, elapsed_s) / self.duration_s
-        if self.smooth:
-            share = 0.5 - 0.5 * cos(pi * share)
         return self.start_n + share * (self.end_n - self.start_n)
 
 
@@ -47,7 +44,7 @@ class RampSegment:
 class ForceRamp:
     """Set-point of the grip force, continuous and monotone from its start to its end.
 
-    Made by `linear`, `staircase` or `s_curve`.
+    Made by `linear` or `staircase`.
     """
 
     segments: tuple[RampSegment, ...]
@@ -99,23 +96,6 @@ class ForceRamp:
             segments.append(_hold(level_n, hold_s, index))
             force_n = level_n
         return cls(segments=tuple(segments))
-
-    @classmethod
-    def s_curve(
-        cls, force_n: float, duration_s: float, hold_s: float = 0.0, start_n: float = 0.0
-    ) -> "ForceRamp":
-        """Return half a cosine from start_n to force_n in duration_s s, then a hold."""
-        return cls(
-            segments=(
-                RampSegment(
-                    duration_s=check_number("duration_s", duration_s, above=0.0),
-                    start_n=check_number("start_n", start_n, low=0.0),
-                    end_n=check_number("force_n", force_n, low=0.0),
-                    smooth=True,
-                ),
-                _hold(force_n, check_number("hold_s", hold_s, low=0.0), 0),
-            )
-        )
 
     @property
     def duration_s(self) -> float:
@@ -253,11 +233,6 @@ def _hold(force_n: float, duration_s: float, level: int | None) -> RampSegment:
 
 
 def _from_force(segment: RampSegment, force_n: float) -> RampSegment:
-    """Cut a changing segment at a force that it passes; a smooth one keeps its mean rate."""
+    """Cut a changing segment at a force that it passes."""
     share = (segment.end_n - force_n) / (segment.end_n - segment.start_n)
-    return RampSegment(
-        duration_s=segment.duration_s * share,
-        start_n=force_n,
-        end_n=segment.end_n,
-        smooth=segment.smooth,
-    )
+    return replace(segment, duration_s=segment.duration_s * share, start_n=force_n)

@@ -27,7 +27,8 @@ def grasps() -> list[Grasp]:
         "tactile.tare_frames": 25,
         "gripper.aperture_open_mm": 18.0,
         "sequence.force_n": [2.0, 3.0],
-        "sequence.ramp": {"kind": "linear", "rate_n_s": 5.0, "hold_s": 0.2},
+        "sequence.ramp.rate_n_s": 5.0,
+        "sequence.ramp.hold_s": 0.2,
     }
     config = changed_config(CellConfig(), keys)
     with closing(build_cell(config)) as cell:

@@ -118,7 +118,8 @@ def campaign_config(changes: Mapping[str, Any] | None = None) -> CellConfig:
     """Return a config with coarse pads and short jobs; changes by dotted path."""
     short_jobs = {
         "gripper.aperture_open_mm": 11.0,
-        "sequence.ramp": {"kind": "linear", "rate_n_s": 10.0, "hold_s": 0.3},
+        "sequence.ramp.rate_n_s": 10.0,
+        "sequence.ramp.hold_s": 0.3,
         "simulator.noise_level": 0.5,
     }
     return changed_config(quick_config(), short_jobs | dict(changes or {}))

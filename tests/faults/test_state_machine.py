@@ -253,7 +253,8 @@ _SHORT_COMMANDS = {
     "gripper.aperture_open_mm": 12.0,
     "gripper.approach_speed_mm_s": 20.0,
     "gripper.contact_timeout_s": 2.0,
-    "sequence.ramp": {"kind": "linear", "rate_n_s": 20.0, "hold_s": 0.05},
+    "sequence.ramp.rate_n_s": 20.0,
+    "sequence.ramp.hold_s": 0.05,
     "sequence.max_grasps": 2,
 }
 """Config whose commands take little time: coarse pads, a slow loop, short ways."""

@@ -27,7 +27,8 @@ KNOWN = {
     "tactile.channel": "can0",
     "tactile.layout": "pinch",
     "tactile.tare_frames": 30,
-    "sequence.ramp": {"kind": "linear", "rate_n_s": 10.0, "hold_s": 0.0},
+    "sequence.ramp.rate_n_s": 10.0,
+    "sequence.ramp.hold_s": 0.0,
 }
 """What the steps have found of a sound cell."""
 

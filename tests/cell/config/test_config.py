@@ -307,7 +307,7 @@ def positioner(*axes: dict[str, Any], **more: Any) -> dict[str, Any]:
 
 X, TURNED, ONLY = X_AXIS, ROTATION_AXIS, "list positioner.axes if positioner.kind is axes, and only"
 ON_CAN1 = {"interface": "socketcan", "channel": "can1"}
-ASKED = {"sequence.kind": "list", "sequence.poses": [{"y_mm": 1.0}]}
+ASKED = {"sequence.poses": [{"y_mm": 1.0}]}
 
 
 @pytest.mark.parametrize(

@@ -10,13 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.config.sequence import (
-    LinearRampConfig,
-    SCurveRampConfig,
-    SequenceConfig,
-    StaircaseRampConfig,
-    ramp_from_config,
-)
+from cell.config.sequence import RampConfig, SequenceConfig
 from cell.control.controller import CellController
 from cell.control.identification import Identification, Judge
 from cell.control.plan import GraspStep, Pose, plan
@@ -290,17 +284,6 @@ def test_random_plan_stays_in_its_ranges_and_repeats_with_its_seed() -> None:
     assert len({step.pose for step in steps}) == 200
 
 
-def test_grid_visits_each_point_once_before_it_repeats() -> None:
-    config = SequenceConfig(
-        kind="grid", x_mm=(-1.0, 1.0), y_mm=(0.0, 0.0), roll_deg=(0.0, 0.0), force_n=(4.0, 4.0)
-    )
-    steps = plan(config, 18, seed=0)
-    assert len({step.pose for step in steps}) == 9
-    assert steps[:9] == steps[9:]
-    assert {step.pose.x_m for step in steps} == {-1e-3, 0.0, 1e-3}
-    assert {step.force_n for step in steps} == {4.0}
-
-
 def test_a_further_ramp_follows_the_frames_of_the_first_one_before_it() -> None:
     zero = SelfZero(**dict.fromkeys(ZERO_COLUMNS, 0.01))
     first, further = plain_grasp("ball"), plain_grasp("ball", t_s=np.arange(12) * 0.02, zero=zero)
@@ -312,10 +295,8 @@ def test_a_further_ramp_follows_the_frames_of_the_first_one_before_it() -> None:
 
 
 def test_list_is_taken_in_order_and_anew() -> None:
-    config = SequenceConfig(
-        kind="list",
-        poses=({"x_mm": 1.0, "force_n": 3.0}, {"rotation_deg": 90.0}),  # type: ignore[arg-type]
-    )
+    listed = [{"x_mm": 1.0, "force_n": 3.0}, {"rotation_deg": 90.0}]
+    config = SequenceConfig.model_validate({"poses": listed})
     steps = plan(config, 3, seed=0)
     assert steps[0].pose == Pose(x_m=1e-3)
     assert (steps[0].force_n, steps[1].pose.rotation_rad) == (3.0, pytest.approx(math.pi / 2))
@@ -332,14 +313,11 @@ def test_no_plan_is_empty_and_no_pose_is_not_finite() -> None:
     )
 
 
-@pytest.mark.parametrize(
-    "config",
-    [LinearRampConfig(), StaircaseRampConfig(kind="staircase"), SCurveRampConfig(kind="s_curve")],
-)
-def test_ramps_of_the_config_end_at_the_wanted_force(config) -> None:
-    ramp = ramp_from_config(config, 5.0)
-    assert ramp.final_n == 5.0
-    assert ramp.setpoint_n(ramp.duration_s) == pytest.approx(5.0)
+def test_a_ramp_of_the_config_has_equal_levels_up_to_the_wanted_force() -> None:
+    ramp = RampConfig(levels=4, rate_n_s=10.0, hold_s=0.2).to(6.0)
+    held_n = {one.level: one.end_n for one in ramp.segments if one.level is not None}
+    assert held_n == {0: 1.5, 1: 3.0, 2: 4.5, 3: 6.0}
+    assert ramp.duration_s == pytest.approx(0.6 + 4 * 0.2)
 
 
 # -- One grasp without a cell ----------------------------------------------------------------------

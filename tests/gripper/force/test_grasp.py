@@ -22,7 +22,6 @@ LINEAR = ForceRamp.linear(8.0, 10.0, hold_s=0.3)
 RAMPS = {
     "linear": LINEAR,
     "staircase": ForceRamp.staircase((2.0, 4.0, 8.0), 10.0, 0.2),
-    "s_curve": ForceRamp.s_curve(8.0, 1.0, hold_s=0.3),
 }
 
 

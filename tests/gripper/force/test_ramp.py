@@ -1,6 +1,6 @@
 from dataclasses import replace
 from itertools import pairwise
-from math import inf, nan, pi
+from math import inf, nan
 
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -15,13 +15,9 @@ HOLDS = st.floats(0.0, 2.0)
 
 @st.composite
 def ramps(draw: st.DrawFn) -> ForceRamp:
-    kind = draw(st.sampled_from(["linear", "staircase", "s_curve"]))
+    kind = draw(st.sampled_from(["linear", "staircase"]))
     if kind == "linear":
         return ForceRamp.linear(draw(FORCES), draw(RATES), draw(HOLDS), draw(FORCES))
-    if kind == "s_curve":
-        return ForceRamp.s_curve(
-            draw(FORCES), draw(st.floats(0.05, 5.0)), draw(HOLDS), draw(FORCES)
-        )
     levels = sorted(draw(st.lists(FORCES, min_size=1, max_size=5)))
     return ForceRamp.staircase(levels, draw(RATES), draw(HOLDS))
 
@@ -62,13 +58,6 @@ def test_staircase_names_its_levels() -> None:
     assert late.at(0.6)[0].level == 1
 
 
-def test_s_curve_is_smooth_at_its_ends() -> None:
-    ramp = ForceRamp.s_curve(10.0, duration_s=2.0)
-    assert ramp.setpoint_n(1.0) == pytest.approx(5.0)
-    assert ramp.max_rate_n_s == pytest.approx(5.0 * pi / 2.0)
-    assert ramp.setpoint_n(0.02) < 0.01
-
-
 def test_a_start_above_the_measured_force_is_approached_at_the_ramps_rate() -> None:
     begun = ForceRamp.linear(8.0, 2.0, 1.0, start_n=3.0).starting_from(1.0)
     assert begun.setpoint_n(0.5) == pytest.approx(2.0)
@@ -91,7 +80,7 @@ SEGMENT = RampSegment(duration_s=1.0, start_n=0.0, end_n=1.0)
     [
         (lambda: ForceRamp.linear(nan, 1.0), "force_n"),
         (lambda: ForceRamp.linear(1.0, inf), "rate_n_s"),
-        (lambda: ForceRamp.s_curve(1.0, -1.0), "duration_s"),
+        (lambda: ForceRamp.linear(1.0, 1.0, hold_s=-1.0), "hold_s"),
         (lambda: ForceRamp.staircase((1.0, nan), 1.0, 0.1), r"levels_n\[1\]"),
         (lambda: ForceRamp.staircase((3.0, 1.0), 1.0, 0.1), "not both"),
         (lambda: ForceRamp.staircase((), 1.0, 0.1), "empty"),
@@ -112,5 +101,3 @@ def test_an_ended_ramp_stays_at_its_force_and_names_the_level_it_was_at_or_on_it
         assert ended.duration_s == 0.0
         assert (ended.start_n, ended.final_n) == (force_n, force_n)
         assert {ended.at(t)[0].level for t in (0.0, 1.0)} == {level}
-    smooth = ForceRamp.s_curve(4.0, 2.0)
-    assert smooth.ended_at(1.0).final_n == pytest.approx(2.0)
