@@ -15,8 +15,7 @@ from cell.config.gripper import ParallelLinkageConfig
 from cell.config.model import CellConfig
 from cell.config.positioner import DriveAxisConfig, PositionerConfig, ServoAxisConfig
 from cell.config.tactile import (
-    LinearCalibrationConfig,
-    TableCalibrationConfig,
+    PaperCalibrationConfig,
     layout_from_config,
     make_calibration,
     pad_mounts,
@@ -45,7 +44,7 @@ from simulator.servo.mechanics import (
 from simulator.servo.motor import OverloadRule
 from simulator.servo.wrist import WristMount
 from simulator.settings import SimulatedServoSettings, SimulatorSettings
-from simulator.world.pads import NoiseModel, PadPair, SensorLaw
+from simulator.world.pads import PadPair, SensorLaw, noise_counts
 from simulator.world.shapes import ObjectPose, Shape, parse_shape, thicknesses_m
 from simulator.world.world import NOTHING
 from tactile.can.bus import CanBus
@@ -128,7 +127,7 @@ def simulator_settings(config: CellConfig) -> SimulatorSettings:
                 stiffness=settings.pads.stiffness,
             ),
             law=sensor_law(config),
-            noise=NoiseModel(kind=settings.noise, level=settings.noise_level),
+            noise_level=settings.noise_level,
             seed=config.seed,
             objects=simulated_objects(config),
             aperture_m=opening_m,
@@ -188,8 +187,8 @@ def _wrist_mount(axis: ServoAxisConfig) -> WristMount:
 def _check_noise(config: CellConfig, layout: TaxelLayout) -> None:
     """Refuse noise with which a pad at rest looks touched."""
     n_taxels = layout.pads[layout.gripping_pads[0]].n_taxels
-    noise = NoiseModel(kind=config.simulator.noise, level=config.simulator.noise_level)
-    drawn = noise.sample(np.random.default_rng(0), _NOISE_DRAWS * 3 * n_taxels, layout.adc_max)
+    level, n_drawn = config.simulator.noise_level, _NOISE_DRAWS * 3 * n_taxels
+    drawn = noise_counts(np.random.default_rng(0), n_drawn, layout.adc_max, level)
     tared = np.rint(drawn.reshape(-1, n_taxels))
     tared -= tared.mean(axis=0)
     of_three_frames = tared.reshape(_NOISE_DRAWS, 3, n_taxels).mean(axis=1)
@@ -197,10 +196,9 @@ def _check_noise(config: CellConfig, layout: TaxelLayout) -> None:
     noise_n, contact_n = float(force_n.std(ddof=1)), config.gripper.contact_force_n
     if noise_n > _NOISE_PER_CONTACT * contact_n:
         raise ConfigError(
-            f"simulator.noise {config.simulator.noise} of level {config.simulator.noise_level:g} "
-            f"is {noise_n:.2g} N on a pad at rest under tactile.calibration, "
-            f"gripper.contact_force_n is {contact_n:g} N: no contact could be detected. Correct "
-            "the calibration, lower the noise or raise the contact force"
+            f"simulator.noise_level {level:g} is {noise_n:.2g} N on a pad at rest under "
+            f"tactile.calibration, gripper.contact_force_n is {contact_n:g} N: no contact could be "
+            "detected. Correct the calibration, lower the noise or raise the contact force"
         )
 
 
@@ -281,21 +279,20 @@ def converter_noise(
     config: CellConfig,
 ) -> Callable[[np.random.Generator, int], NDArray[np.float64]]:
     """Return the noise of the simulated converter: (generator, number of samples) -> counts."""
-    settings = config.simulator
-    noise = NoiseModel(kind=settings.noise, level=settings.noise_level)
-    adc_max = layout_from_config(config.tactile).adc_max
-    return lambda rng, n: noise.sample(rng, n, adc_max)
+    adc_max, level = layout_from_config(config.tactile).adc_max, config.simulator.noise_level
+    return lambda rng, n: noise_counts(rng, n, adc_max, level)
 
 
 def sensor_law(config: CellConfig) -> SensorLaw:
     """Return the law from force to counts of a sensor with the config's calibration."""
     law = config.tactile.calibration
-    if isinstance(law, LinearCalibrationConfig):
-        adc_max = layout_from_config(config.tactile).adc_max
-        return SensorLaw(full_scale_n=adc_max * law.force_per_count_n)
-    if isinstance(law, TableCalibrationConfig):
-        return SensorLaw(nodes=((0.0, *law.force_n), (0.0, *law.counts)))
-    return SensorLaw(gain=1.0 / law.gain)
+    if isinstance(law, PaperCalibrationConfig):
+        return SensorLaw(gain=1.0 / law.gain)
+    # The last line continues to full scale.
+    (before_n, last_n), (before, last) = ((0.0, *of)[-2:] for of in (law.force_n, law.counts))
+    full = max(layout_from_config(config.tactile).adc_max, last + 1)
+    full_n = last_n + (full - last) * (last_n - before_n) / (last - before)
+    return SensorLaw(nodes=((0.0, *law.force_n, full_n), (0.0, *law.counts, full)))
 
 
 class SimulationRequests:

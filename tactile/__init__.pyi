@@ -9,7 +9,7 @@ from .layout import (
 from .sensor.calibration import (
     Calibration as Calibration,
     FoamCalibration as FoamCalibration,
-    LinearCalibration as LinearCalibration,
+    TableCalibration as TableCalibration,
 )
 from .sensor.grip_force import GripForce as GripForce
 from .sensor.opening import open_sensor as open_sensor

@@ -33,7 +33,13 @@ from recognition.grasp import Grasp, PadArray
 from recognition.quadric.level import MeanFrames, level_of
 from recognition.quadric.quadric import PAPER_SWEEP, LevelBands, Reading, find_thresholds, sweep
 from recognition.recognizers import make_trainer
-from simulator.world.pads import Foam, NoiseModel, PressureGrid, ideal_counts, resistance_mohm
+from simulator.world.pads import (
+    Foam,
+    PressureGrid,
+    ideal_counts,
+    noise_counts,
+    resistance_mohm,
+)
 from simulator.world.shapes import PAPER_OBJECTS, ObjectPose, posed_heights, resting_pose
 from tactile.layout import paper_layout
 
@@ -129,8 +135,8 @@ def record(
     force_n = np.concatenate([np.zeros(REST_FRAMES), ramp_n, np.full(_HOLD_FRAMES, full_n)])
     taxel_n = make_interp_spline(touch.force_n, touch.taxel_n, k=1)(force_n)
     counts = ideal_counts(taxel_n, _PADS.adc_max)
-    model = NoiseModel(kind="clipped_normal", level=noise_share / PAPER_NOISE)
-    counts += model.sample(rng, counts.size, _PADS.adc_max).reshape(counts.shape)
+    noise = noise_counts(rng, counts.size, _PADS.adc_max, noise_share / PAPER_NOISE)
+    counts += noise.reshape(counts.shape)
     aperture_m = np.interp(force_n, touch.force_n, touch.aperture_m)
     return Grasp(
         pads=_PADS,

@@ -17,7 +17,7 @@ from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step, StepFailed
 from cell.commissioning.findings import Notes
 from cell.commissioning.unit import unit_sensor
-from cell.config.tactile import LinearCalibrationConfig, TableCalibrationConfig, TactileConfig
+from cell.config.tactile import PaperCalibrationConfig, TactileConfig
 from cell.errors import raised_as
 from cell.hand.local import sensor_settings
 from tactile.control_unit.node import Mounting
@@ -542,10 +542,8 @@ def judge_law(
     gains = list(tactile.pad_gains)
     if differ:
         gains = [gains[0] * first / factor, gains[1] * second / factor]
-    table = isinstance(tactile.calibration, TableCalibrationConfig)
     off = abs(factor - 1.0) > _RIGHT_SHARE
-    tabled = (bent or (table and (off or differ))) and _rising(loads)
-    if tabled and _set_table(loads, gains, adc_max, notes):
+    if bent and _rising(loads) and _set_table(loads, gains, adc_max, notes):
         bent = off = False
     if bent or not _rising(loads):
         raise StepFailed(
@@ -559,14 +557,18 @@ def judge_law(
             "tactile.pad_gains. Check whether both have the same foam.",
             corrected=True,
         )
-    law = tactile.calibration
-    if off and not isinstance(law, TableCalibrationConfig):
-        key = "force_per_count_n" if isinstance(law, LinearCalibrationConfig) else "gain"
-        before = float(getattr(law, key))
-        notes.settings[f"tactile.calibration.{key}"] = round(before * factor, 6)
+    if off:
+        law = tactile.calibration
+        if isinstance(law, PaperCalibrationConfig):
+            key = "gain"
+            notes.settings["tactile.calibration.gain"] = round(law.gain * factor, 6)
+        else:
+            key = "force_n"
+            table_n = [round(force_n * factor, 9) for force_n in law.force_n]
+            notes.settings["tactile.calibration.force_n"] = table_n
         notes.warn(
-            f"The law was {abs(1.0 / factor - 1.0):.0%} off: tactile.calibration.{key} was "
-            f"{before:g}, is now {before * factor:.3g}",
+            f"The law was {abs(1.0 / factor - 1.0):.0%} off: tactile.calibration.{key} is now "
+            f"{factor:.3g} times that of before",
             corrected=True,
         )
 

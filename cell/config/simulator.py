@@ -66,10 +66,9 @@ class SimulatorConfig(Section):
         max_length=1000,
     )
     """Objects for grasps; default: the five objects of the paper."""
-    noise: Literal["clipped_normal", "none"] = "clipped_normal"
-    """Noise of each taxel and frame; in the paper a normal value clipped to 1 to 20 of 255."""
     noise_level: float = Field(default=1.0, ge=0.0, le=2.5)
-    """Factor on the noise, 0 to 2.5; 1: as in the paper."""
+    """Factor on the noise of each taxel and frame, 0 to 2.5; 1: as in the paper, a normal value
+    clipped to 1 to 20 of 255."""
     pads: SimulatedPadsConfig = SimulatedPadsConfig()
     """Position and differences of the pads; the fault `servo1.horn=20` moves the opening's zero."""
     servos: SimulatedServosConfig = SimulatedServosConfig()

@@ -15,7 +15,6 @@ from tactile.layout import LAYOUTS, Face, Pad, PadMount, TaxelLayout, taxel_orde
 from tactile.sensor.calibration import (
     Calibration,
     FoamCalibration,
-    LinearCalibration,
     TableCalibration,
 )
 
@@ -62,17 +61,11 @@ class PaperCalibrationConfig(Section):
     """Factor on the force of each taxel, 0.2 to 10."""
 
 
-class LinearCalibrationConfig(Section):
-    """Force proportional to counts."""
-
-    kind: Literal["linear"]
-    """Law from counts to force."""
-    force_per_count_n: float = Field(gt=0.0, le=1.0)
-    """Force of one count on one taxel in N, up to 1."""
-
-
 class TableCalibrationConfig(Section):
-    """Force at some counts, linear between them; `commission` measures it with weights."""
+    """Force at some counts, linear between them and beyond; `commission` measures it with weights.
+
+    One entry is a straight line.
+    """
 
     kind: Literal["table"]
     """Law from counts to force."""
@@ -149,8 +142,7 @@ class TactileConfig(Section):
     mounting: tuple[PadMountConfig, ...] = Field(default=(), max_length=32)
     """Pads that are mounted differently from the layout: exchanged, turned or mirrored."""
     calibration: Annotated[
-        PaperCalibrationConfig | LinearCalibrationConfig | TableCalibrationConfig,
-        Field(discriminator="kind"),
+        PaperCalibrationConfig | TableCalibrationConfig, Field(discriminator="kind")
     ] = PaperCalibrationConfig()
     """Law from counts to force."""
     pad_gains: tuple[PadGain, PadGain] = (1.0, 1.0)
@@ -290,6 +282,4 @@ def make_calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:
         gain = gains[[pad.finger for pad in layout.pads]][layout.taxel_pad]
     if isinstance(law, PaperCalibrationConfig):
         return FoamCalibration(adc_max=layout.adc_max, gain=law.gain * gain)
-    if isinstance(law, TableCalibrationConfig):
-        return TableCalibration(law.counts, law.force_n, layout.adc_max, gain)
-    return LinearCalibration(adc_max=layout.adc_max, force_per_count_n=law.force_per_count_n * gain)
+    return TableCalibration(law.counts, law.force_n, layout.adc_max, gain)

@@ -31,7 +31,7 @@ def usual_foam(config: CellConfig) -> FoamModel:
     if isinstance(law, PaperCalibrationConfig):
         return FoamModel(gain=1.0 / law.gain)
     one_law = config.tactile.model_copy(update={"pad_gains": (1.0, 1.0)})
-    counts = np.unique([0.0, *getattr(law, "counts", ()), layout.adc_max])
+    counts = np.unique([0.0, *law.counts, layout.adc_max])
     counts = counts[counts <= layout.adc_max]
     force_n = make_calibration(one_law, layout).force_n(counts)
     return FoamModel(nodes=(tuple(force_n), tuple(counts / layout.adc_max)))

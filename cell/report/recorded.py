@@ -375,7 +375,7 @@ def _facts(config: CellConfig | None, pads: PadArray) -> dict[str, str]:
         "Seed": str(config.seed),
     }
     if config.simulated:
-        facts["Noise"] = f"{config.simulator.noise}, level {config.simulator.noise_level:g}"
+        facts["Level of the noise"] = f"{config.simulator.noise_level:g}"
     return facts
 
 

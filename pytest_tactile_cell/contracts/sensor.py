@@ -44,8 +44,9 @@ def config(plugin_name: str, cell_config: CellConfig) -> CellConfig:
         "tactile.sensor": {"kind": plugin_name},
         "tactile.layout": section.layout,
         "tactile.calibration": {
-            "kind": "linear",
-            "force_per_count_n": PRESS_N / layout_from_config(layout).adc_max,
+            "kind": "table",
+            "counts": [layout_from_config(layout).adc_max],
+            "force_n": [PRESS_N],
         },
         "gripper.force_stale_ms": 1e3 * max(0.06, 2.5 * section.period_s),
     }

@@ -8,7 +8,6 @@ spreads.
 import math
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,8 +128,6 @@ class ForceTable:
         return force_n
 
 
-NoiseKind = Literal["clipped_normal", "none"]
-
 _SIGMA_COUNTS = 10.0
 """Standard deviation of the normal distribution in counts; the paper does not give it."""
 _LEAST_COUNTS, _LIMIT_COUNTS = 1.0, 20.0
@@ -139,30 +136,28 @@ _FULL_SCALE_COUNTS = 255.0
 """Full scale of the paper's converter in counts."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NoiseModel:
-    """Noise of the converter, new for each taxel and each frame.
+def noise_counts(
+    rng: np.random.Generator, n: int, adc_max: int, level: float = 1.0
+) -> NDArray[np.float64]:
+    """Return the noise of ``n`` samples of a converter in counts, (n,); it is new for each sample.
 
-    The paper adds "values from a normal distribution in the range [1, 20]" to counts of 8 bit. They
-    are scaled with the full scale of the converter.
+    The paper adds "values from a normal distribution in the range [1, 20]" to counts of 8 bit: here
+    the magnitude of N(0, 10), clipped, and scaled with the full scale of the converter.
+
+    Parameters
+    ----------
+    level
+        Factor from 0 to 4 on all of it; 1 is the paper's upper limit, 8 % of full scale.
     """
-
-    kind: NoiseKind = "clipped_normal"
-    """``clipped_normal``: the magnitude of N(0, 10) clipped to [1, 20]. ``none``: nothing."""
-    level: float = 1.0
-    """Factor from 0 to 4 on all of it; 1 is the paper's upper limit, 8 % of full scale."""
-
-    def sample(self, rng: np.random.Generator, n: int, adc_max: int) -> NDArray[np.float64]:
-        """Return noise in counts for ``n`` taxels of a converter with full scale ``adc_max``."""
-        if self.kind == "none" or self.level == 0.0:
-            return np.zeros(n)
-        counts = rng.standard_normal(n)
-        counts *= _SIGMA_COUNTS
-        np.abs(counts, out=counts)
-        np.maximum(counts, _LEAST_COUNTS, out=counts)
-        np.minimum(counts, _LIMIT_COUNTS, out=counts)
-        counts *= self.level * adc_max / _FULL_SCALE_COUNTS
-        return counts
+    if level == 0.0:
+        return np.zeros(n)
+    counts = rng.standard_normal(n)
+    counts *= _SIGMA_COUNTS
+    np.abs(counts, out=counts)
+    np.maximum(counts, _LEAST_COUNTS, out=counts)
+    np.minimum(counts, _LIMIT_COUNTS, out=counts)
+    counts *= level * adc_max / _FULL_SCALE_COUNTS
+    return counts
 
 
 CELL_M = 0.35e-3
@@ -188,11 +183,9 @@ class SensorLaw:
 
     gain: float = 1.0
     """Factor on the force of a taxel."""
-    full_scale_n: float | None = None
-    """Force in N at full scale of a sensor with counts proportional to the force; None: equation
-    (11), constant current and an inverting stage."""
     nodes: tuple[tuple[float, ...], tuple[float, ...]] | None = None
-    """Forces in N from 0 on and their counts, with linear interpolation."""
+    """Forces in N from 0 on and their counts, with linear interpolation; None: equation (11),
+    constant current and an inverting stage."""
 
 
 EQUATION_11 = SensorLaw()
@@ -204,8 +197,6 @@ def ideal_counts(
 ) -> NDArray[np.float64]:
     """Return the counts under ``force_n`` N, before noise, limits and rounding."""
     measured_n = law.gain * force_n
-    if law.full_scale_n is not None:
-        return adc_max * (measured_n / law.full_scale_n)
     if law.nodes is not None:
         return np.interp(measured_n, *law.nodes)
     return adc_max * (1.0 - resistance_mohm(measured_n) / RESISTANCE_AT_REST_MOHM)

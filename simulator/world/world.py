@@ -13,13 +13,13 @@ from simulator.errors import PartGripped, SimulatorSettingsError, SimulatorState
 from simulator.world.pads import (
     EQUATION_11,
     Foam,
-    NoiseModel,
     PadPair,
     PadsMeet,
     Press,
     PressureGrid,
     SensorLaw,
     ideal_counts,
+    noise_counts,
 )
 from simulator.world.shapes import PAPER_OBJECTS, ObjectPose, Shape, parse_shape, resting_pose
 from tactile.layout import TaxelLayout
@@ -60,7 +60,7 @@ class WorldSettings:
     """Position and differences of the inner pads."""
     law: SensorLaw = EQUATION_11
     """Law from force to counts."""
-    noise: NoiseModel = field(default_factory=NoiseModel)
+    noise_level: float = 1.0
     """Noise of the converter."""
     seed: int = 0
     """Seed of all noise."""
@@ -307,7 +307,7 @@ class PhysicalWorld:
     ) -> NDArray[np.uint16]:
         """Return the counts (n,) of taxels under these forces; None: no taxel is pressed."""
         adc_max = self._layout.adc_max
-        counts = self._settings.noise.sample(rng, n, adc_max)
+        counts = noise_counts(rng, n, adc_max, self._settings.noise_level)
         if force_n is not None:
             counts += ideal_counts(force_n, adc_max, self._settings.law)
         np.maximum(counts, 0.0, out=counts)

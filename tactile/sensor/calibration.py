@@ -1,4 +1,4 @@
-"""Calibrations from counts to newtons: the law of the paper's foam, a straight line, a table.
+"""Calibrations from counts to newtons: the law of the paper's foam, and a table.
 
 The foam's resistance falls with the force F on a taxel, equation (11) of the paper:
 R = 1.579 exp(-0.449 F) - 8.365e-11 exp(-32.34 F), R in MΩ and F in N. The second term is below
@@ -70,8 +70,9 @@ class FoamCalibration:
 class TableCalibration:
     """A sensor that was measured at some counts: straight lines between them, from 0 N on.
 
-    Beyond the last node, and below zero, the nearest line continues. Raises CalibrationError unless
-    counts and forces rise together from above 0.
+    One node is a sensor whose counts are proportional to the force. Beyond the last node, and below
+    zero, the nearest line continues. Raises CalibrationError unless counts and forces rise together
+    from above 0.
     """
 
     node_counts: tuple[float, ...]
@@ -95,20 +96,3 @@ class TableCalibration:
         line = np.clip(np.searchsorted(nodes[0], tared_counts, "right") - 1, 0, len(slopes) - 1)
         law = nodes[1, line] + slopes[line] * (np.asarray(tared_counts) - nodes[0, line])
         return np.asarray(self.gain * law, dtype=np.float64)
-
-
-class LinearCalibration(TableCalibration):
-    """A sensor whose counts are proportional to the force.
-
-    Parameters
-    ----------
-    force_per_count_n : (n_taxels,) float64 or scalar
-        Force of one count in N.
-    adc_max
-        Full scale in counts.
-    """
-
-    __slots__ = ()
-
-    def __init__(self, force_per_count_n: Array | float, adc_max: int) -> None:
-        super().__init__((1.0,), (1.0,), adc_max, force_per_count_n)

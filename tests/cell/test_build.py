@@ -140,12 +140,12 @@ def test_a_paced_cell_lives_on_while_no_command_runs(make_bench) -> None:
 
 def test_servos_and_noise_are_as_the_config_says() -> None:
     keys = {"servos.gearing": "ideal", "servos.friction": [1.5, 1.0], "servos.kt": [0.8, 1.1]}
-    keys |= {"noise": "none", "noise_level": 0.5}
+    keys |= {"noise_level": 0.5}
     changes = {f"simulator.{key}": value for key, value in keys.items()}
     settings = simulator_settings(
         changed_config(CellConfig(), changes | {"tactile.bitrate": 500_000})
     )
-    assert (settings.noise.kind, settings.noise.level) == ("none", 0.5)
+    assert settings.noise_level == 0.5
     assert settings.unit.bitrate == 500_000
     with SimulatedCell(settings) as cell:
         first, second = cell.devices.mechanics.motors
@@ -166,7 +166,7 @@ def test_servos_and_noise_are_as_the_config_says() -> None:
         ("simulator.faults", ["servo3.off"], "simulator: fault servo3.off: this cell has no"),
         (
             "tactile.calibration",
-            {"kind": "linear", "force_per_count_n": 0.05},
+            {"kind": "table", "counts": [1], "force_n": [0.05]},
             "is 1.2 N on a pad at rest under tactile.calibration, gripper.contact_force_n is 0.6 N",
         ),
     ],

@@ -101,7 +101,7 @@ FLEXITAC, OF_USKIN = _preset("flexitac"), _preset("uskin")
 OF_RH_P12 = _preset("rh-p12-rn", "gripper") | {"gripper.aperture_open_mm": 14.0}
 LONG_HOLD = {"sequence.ramp.hold_s": 3.0}
 PAPER_PADS = {"tactile.layout": "paper"}
-NOISELESS = {"simulator.noise": "none", "gripper.aperture_open_mm": 13.6}
+NOISELESS = {"simulator.noise_level": 0.0, "gripper.aperture_open_mm": 13.6}
 """A sensor without noise, and an approach whose touch frames and force messages show alike."""
 EQUAL = {"simulator.servos.gearing": "ideal"}
 """Servos of the same friction: fingers that meet do so in the middle."""

@@ -39,11 +39,11 @@ from simulator.can.drive import DriveMount
 from simulator.devices import SimulatedDrive
 from simulator.servo.mechanics import RackLinkage, ServoMount
 from simulator.settings import SimulatedServoSettings
-from simulator.world.pads import NoiseModel, SensorLaw
+from simulator.world.pads import SensorLaw
 from tactile.can.bus import CanBus
 from tactile.errors import BusNotOpened
 from tactile.layout import PadMount, inner_pads, paper_layout, pinch_layout
-from tactile.sensor.calibration import LinearCalibration, TableCalibration
+from tactile.sensor.calibration import TableCalibration
 from tactile.sensor.settings import SensorSettings
 from tests.cell.commissioning.conftest import MakeStand, Stand
 from tests.cell.commissioning.hands import Script
@@ -185,7 +185,7 @@ def test_torque_that_holds_a_part_is_not_switched_off_unasked(make_stand) -> Non
 @pytest.fixture
 def quiet(make_stand: MakeStand) -> Stand:
     """A cell of less noise than usual."""
-    return make_stand(noise=NoiseModel(level=0.3))
+    return make_stand(noise_level=0.3)
 
 
 def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(quiet) -> None:
@@ -313,7 +313,7 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
 def test_what_is_wrong_is_named(make_stand, step, fault, status, named) -> None:
     """The step moves and sets nothing; a fault may also be other hardware, or two faults."""
     hardware = fault if isinstance(fault, dict) else {}
-    stand = make_stand(**({"noise": NoiseModel(level=0.3)} if step is FORCE else hardware))
+    stand = make_stand(**({"noise_level": 0.3} if step is FORCE else hardware))
     stand.knows(gripper__pads_meet=step is not FORCE)  # the last and longest of its motions
     for one in [] if hardware else fault.split(", "):
         stand.cell.inject(one)
@@ -716,7 +716,7 @@ def test_the_wrong_pad_or_its_middle_is_asked_for_again(stand) -> None:
 def test_pads_of_much_noise_are_named(noises, force_per_count_n, status, named) -> None:
     layout, generator = pinch_layout(), np.random.default_rng(0)
     frames = generator.normal(250.0, np.repeat(noises, 78), (30, 156)).astype(np.uint16)
-    law, notes = LinearCalibration(force_per_count_n, layout.adc_max), Notes()
+    law, notes = TableCalibration((1.0,), (force_per_count_n,), layout.adc_max), Notes()
     judge_rest(layout, law, frames, notes, limits=SensorSettings(), contact_force_n=0.3)
     assert notes.status is status, notes.lines
     assert named in "\n".join(notes.lines)
@@ -742,17 +742,16 @@ def test_the_law_of_the_foam_is_right_or_named_and_set_right(make_stand, measure
     gain = finding.settings["tactile.calibration.gain"]
     assert gain == pytest.approx(1.0 / measured, rel=0.06)
     assert finding.corrected == [finding.lines[-1]]
-    assert f"tactile.calibration.gain was 1, is now {gain:.3g}" in finding.lines[-1]
+    assert f"tactile.calibration.gain is now {gain:.3g} times that of before" in finding.lines[-1]
 
 
 def test_a_linear_law_is_set_by_its_force_of_a_count(make_stand: MakeStand) -> None:
-    stand = make_stand(law=SensorLaw(full_scale_n=0.0012 * 4095))
-    law = {"kind": "linear", "force_per_count_n": 0.001}
+    stand = make_stand(law=SensorLaw(nodes=((0.0, 0.0012 * 4095), (0.0, 4095.0))))
+    law = {"kind": "table", "counts": [1000.0], "force_n": [1.0]}
     stand.knows(tactile__tare_frames=60, tactile__calibration=law)
     finding = stand.run(LAW)
     assert finding.status is Verdict.WARN, finding.lines
-    force_per_count_n = finding.settings["tactile.calibration.force_per_count_n"]
-    assert force_per_count_n == pytest.approx(0.0012, rel=0.05)
+    assert finding.settings["tactile.calibration.force_n"] == pytest.approx([1.2], rel=0.05)
 
 
 def test_without_a_scale_the_forces_are_unchecked(make_stand: MakeStand) -> None:
@@ -798,7 +797,10 @@ def pressed(force_n: float, n_taxels: int) -> tuple[float, ...]:
 def test_loads_that_bend_make_a_table() -> None:
     loads = [[pressed(force_n, n) for force_n, n in ((2.0, 4), (5.0, 25), (8.0, 9))]] * 2
     tactile = TactileConfig.model_validate(
-        {"layout": "flexitac_12x32", "calibration": {"kind": "linear", "force_per_count_n": 0.01}}
+        {
+            "layout": "flexitac_12x32",
+            "calibration": {"kind": "table", "counts": (1,), "force_n": (0.01,)},
+        }
     )
     judge_law(tactile, loads, finding := Notes(), 255)
     law = finding.settings["tactile.calibration"]

@@ -100,7 +100,7 @@ def test_drawings_alone_name_what_the_cell_grasps(taught, tmp_path) -> None:
     for label, text in (("ball", BALL), ("box", BOX), ("cylinder", CYLINDER)):
         printed = call("teach", label, "--shape", text, "-o", drawings, "-n", 10)
         assert f"10 virtual grasps of {label}" in printed
-        assert "simulator.noise: clipped_normal, level 1" in printed
+        assert "simulator.noise_level: 1)" in printed
     assert {g.source for g in read_dataset(drawings)} == {"drawing"}
     assert len({g.command for g in read_dataset(drawings)}) == 30
     call("model", "train", drawings, "-o", model)
@@ -124,7 +124,7 @@ def test_drawings_alone_name_what_the_cell_grasps(taught, tmp_path) -> None:
     assert "flat, " in printed
 
 
-LINEAR = {"layout": "pinch", "calibration": {"kind": "linear", "force_per_count_n": 0.001}}
+LINEAR = {"layout": "pinch", "calibration": {"kind": "table", "counts": (1,), "force_n": (0.001,)}}
 TABLE = {
     "layout": "pinch",
     "calibration": {"kind": "table", "counts": (900, 2000, 5000), "force_n": (0.5, 2.0, 9.0)},
@@ -149,7 +149,7 @@ def test_simulated_and_virtual_pads_read_as_the_config_says(tactile) -> None:
 
 @pytest.mark.parametrize("tactile", [LINEAR, TABLE], ids=["linear", "table"])
 def test_virtual_grasps_and_sizes_follow_the_law_of_the_sensor(tactile) -> None:
-    config = CellConfig.model_validate({"tactile": tactile, "simulator": {"noise": "none"}})
+    config = CellConfig.model_validate({"tactile": tactile, "simulator": {"noise_level": 0.0}})
     calibration = make_calibration(config.tactile, layout_from_config(config.tactile))
     course = replace(course_of(config), **SURE)
     grasps = teach_drawing(config, "ball", drawn_shape(BALL), 4, course=course)

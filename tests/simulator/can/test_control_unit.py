@@ -20,7 +20,7 @@ from tactile.frames import (
     force_table,
 )
 from tactile.layout import TaxelLayout, paper_layout, pinch_layout
-from tactile.sensor.calibration import Calibration, FoamCalibration, LinearCalibration
+from tactile.sensor.calibration import Calibration, FoamCalibration, TableCalibration
 from tactile.source import ForceMessage, ForceStatus, FrameStatus, TactileFrame
 from tests.simulator.conftest import DeviceLine
 from tests.tactile.conftest import Skin, counts_of
@@ -256,7 +256,7 @@ def test_last_message_vectors(counts: np.ndarray, counter: int, status: int, las
 
 LAYOUTS = [
     (paper_layout(), FoamCalibration(255)),
-    (pinch_layout(), LinearCalibration(force_per_count_n=0.002, adc_max=4095)),
+    (pinch_layout(), TableCalibration((500.0,), (1.0,), 4095)),
 ]
 
 

@@ -10,7 +10,6 @@ from simulator.can.control_unit import ControlUnitSettings
 from simulator.can.scanner import read_zero
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
-from simulator.world.pads import NoiseModel
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import Mounting
 from tactile.control_unit.settings import LinkSettings
@@ -234,7 +233,7 @@ def test_the_unit_cannot_sum_pads_that_are_turned_against_each_other() -> None:
 
 @pytest.mark.parametrize("mounts", [EXCHANGED, TURNED, TURNED[:1]])
 def test_a_sensor_measures_where_the_finger_is_on_pads_that_sit_otherwise(mounts) -> None:
-    settings = SimulatorSettings(layout=PINCH, mounts=mounts, noise=NoiseModel(level=0.2))
+    settings = SimulatorSettings(layout=PINCH, mounts=mounts, noise_level=0.2)
     with SimulatedCell(settings) as cell:
         link = LinkSettings(mounts=mounts)
         with open_sensor(cell.can_bus, PINCH, link=link) as sensor:

@@ -7,7 +7,7 @@ import pytest
 
 from tactile.errors import CalibrationError
 from tactile.layout import paper_layout
-from tactile.sensor.calibration import FoamCalibration, LinearCalibration, TableCalibration
+from tactile.sensor.calibration import FoamCalibration, TableCalibration
 from tactile.sensor.filters import ActiveTaxels, Neighbourhood, fill_bad
 from tactile.sensor.sensor import TaxelForces
 from tactile.sensor.settings import SensorSettings
@@ -76,10 +76,13 @@ def test_regions_grow_through_allowed_taxels_only() -> None:
         *(
             (partial(law, *values), CalibrationError, "gains")
             for gain in (0.0, -1.0, float("nan"), [1.0, float("inf")])
-            for law, values in ((FoamCalibration, (255, gain)), (LinearCalibration, (gain, 255)))
+            for law, values in (
+                (FoamCalibration, (255, gain)),
+                (TableCalibration, ((1.0,), (1.0,), 255, gain)),
+            )
         ),
         (lambda: FoamCalibration(0), CalibrationError, "adc_max is 0"),
-        (lambda: LinearCalibration(1.0, 0), CalibrationError, "adc_max is 0"),
+        (lambda: TableCalibration((1.0,), (1.0,), 0), CalibrationError, "adc_max is 0"),
         *(
             (partial(TableCalibration, *nodes, 255), CalibrationError, "rise from above 0")
             for nodes in (
@@ -144,7 +147,7 @@ def test_full_scale_gives_the_smallest_force_that_saturates() -> None:
 
 
 def test_a_table_goes_straight_from_node_to_node_and_on_beyond_them() -> None:
-    line = LinearCalibration(0.002, 4095)
+    line = TableCalibration((500.0,), (1.0,), 4095)
     assert line.force_n(np.array([-10.0, 0.0, 500.0])) == pytest.approx([-0.02, 0, 1.0])
     law = TableCalibration((10.0, 30.0), (0.1, 0.7), 255, np.array([1.0, 2.0]))
     assert law.force_n(np.array([5.0, 5.0])) == pytest.approx([0.05, 0.1])

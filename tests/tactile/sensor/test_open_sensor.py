@@ -6,7 +6,7 @@ import can
 import pytest
 
 from simulator import SimulatedCell, simulated_cell
-from tactile import GripForce, LinearCalibration, open_sensor, paper_layout, pinch_layout
+from tactile import GripForce, TableCalibration, open_sensor, paper_layout, pinch_layout
 from tactile.errors import CalibrationError, LinkStateError, NodeMissing
 
 
@@ -66,7 +66,7 @@ def test_a_sensor_that_cannot_start_leaves_no_bus_open(sim, opened) -> None:
     assert not is_open(sim.can_bus)
     sim.open_can_bus()
     with pytest.raises(CalibrationError, match="full scale of 4095 counts, layout paper has 255"):
-        open_sensor("can0", paper_layout(), LinearCalibration(0.01, 4095))
+        open_sensor("can0", paper_layout(), TableCalibration((1.0,), (0.01,), 4095))
     assert not is_open(sim.can_bus)
 
 

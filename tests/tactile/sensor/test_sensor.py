@@ -7,7 +7,7 @@ import pytest
 
 from tactile.errors import FrameTimeout, TareRefused, ZeroDrifted
 from tactile.layout import TaxelLayout, paper_layout, pinch_layout
-from tactile.sensor.calibration import FoamCalibration, LinearCalibration
+from tactile.sensor.calibration import FoamCalibration, TableCalibration
 from tactile.sensor.filters import Neighbourhood
 from tactile.sensor.sensor import SensorStatistics, TactileSensor
 from tactile.sensor.settings import SensorSettings
@@ -343,7 +343,7 @@ def test_noise_alone_is_no_drift() -> None:
 
 def test_without_pads_beside_the_grip_only_open_pads_are_judged() -> None:
     frames = Frames(pinch_layout())
-    sensor = TactileSensor(frames, LinearCalibration(0.001, 4095), clock=frames)
+    sensor = TactileSensor(frames, TableCalibration((1000.0,), (1.0,), 4095), clock=frames)
     sensor.start()
     sensor.tare(20)
     frames.base[:] = 50.0

@@ -159,11 +159,10 @@ def _teach_drawing(
             progress=progress,
         )
     append_to_dataset(dataset, before, grasps)
-    noise = config.simulator
     lines = [
         f"{len(grasps)} virtual grasps of {label} added to {dataset} ({len(before)} before)",
-        f"noise of the config (simulator.noise: {noise.noise}, level {noise.noise_level:g}); if "
-        "the sensor has more, taught objects become unknown",
+        f"noise of the config (simulator.noise_level: {config.simulator.noise_level:g}); if the "
+        "sensor has more, taught objects become unknown",
     ]
     values = {"label": label, "n_grasps": len(grasps), "dataset": dataset, "source": "drawing"}
     show(lines, values | {"drawing": drawing}, json_file)
