@@ -14,12 +14,7 @@ from numpy.typing import NDArray
 from cell.config.gripper import ParallelLinkageConfig
 from cell.config.model import CellConfig
 from cell.config.positioner import DriveAxisConfig, PositionerConfig, ServoAxisConfig
-from cell.config.tactile import (
-    PaperCalibrationConfig,
-    layout_from_config,
-    make_calibration,
-    pad_mounts,
-)
+from cell.config.tactile import layout_from_config, make_calibration, pad_mounts
 from cell.control.axes import si_per_unit
 from cell.control.plan import Pose
 from cell.errors import CellStateError, ConfigError, PositionerError, RequestRefused, raised_as
@@ -44,7 +39,7 @@ from simulator.servo.mechanics import (
 from simulator.servo.motor import OverloadRule
 from simulator.servo.wrist import WristMount
 from simulator.settings import SimulatedServoSettings, SimulatorSettings
-from simulator.world.pads import PadPair, SensorLaw, noise_counts
+from simulator.world.pads import EQUATION_11, PadPair, SensorLaw, noise_counts
 from simulator.world.shapes import ObjectPose, Shape, parse_shape, thicknesses_m
 from simulator.world.world import NOTHING
 from tactile.can.bus import CanBus
@@ -286,8 +281,8 @@ def converter_noise(
 def sensor_law(config: CellConfig) -> SensorLaw:
     """Return the law from force to counts of a sensor with the config's calibration."""
     law = config.tactile.calibration
-    if isinstance(law, PaperCalibrationConfig):
-        return SensorLaw(gain=1.0 / law.gain)
+    if not law.counts:
+        return EQUATION_11
     # The last line continues to full scale.
     (before_n, last_n), (before, last) = ((0.0, *of)[-2:] for of in (law.force_n, law.counts))
     full = max(layout_from_config(config.tactile).adc_max, last + 1)

@@ -17,7 +17,7 @@ from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Step, StepFailed
 from cell.commissioning.findings import Notes
 from cell.commissioning.unit import unit_sensor
-from cell.config.tactile import PaperCalibrationConfig, TactileConfig
+from cell.config.tactile import TactileConfig
 from cell.errors import raised_as
 from cell.hand.local import sensor_settings
 from tactile.control_unit.node import Mounting
@@ -539,38 +539,31 @@ def judge_law(
     )
     (first, _), (second, _) = fits
     differ = abs(first - second) / factor > _FINGERS_APART
-    gains = list(tactile.pad_gains)
-    if differ:
-        gains = [gains[0] * first / factor, gains[1] * second / factor]
+    shares = (first / factor, second / factor) if differ else (1.0, 1.0)
+    gains = [gain * share for gain, share in zip(tactile.pad_gains, shares, strict=True)]
     off = abs(factor - 1.0) > _RIGHT_SHARE
     if bent and _rising(loads) and _set_table(loads, gains, adc_max, notes):
         bent = off = False
     if bent or not _rising(loads):
         raise StepFailed(
             "The loads do not fit one law: load the middle of the pad again. If they still do not "
-            "fit, the pads need another calibration (tactile.calibration.kind)."
+            "fit, the pads need another calibration (tactile.calibration)."
+        )
+    if off:
+        gains = [gain * factor for gain in gains]
+        notes.warn(
+            f"The law was {abs(1.0 / factor - 1.0):.0%} off: both factors of tactile.pad_gains are "
+            f"{factor:.3g} times those of before",
+            corrected=True,
         )
     if differ:
-        notes.settings["tactile.pad_gains"] = [round(gain, 4) for gain in gains]
         notes.warn(
             f"The pads differ: factor {first:.2f} on finger 0, {second:.2f} on finger 1; set in "
             "tactile.pad_gains. Check whether both have the same foam.",
             corrected=True,
         )
-    if off:
-        law = tactile.calibration
-        if isinstance(law, PaperCalibrationConfig):
-            key = "gain"
-            notes.settings["tactile.calibration.gain"] = round(law.gain * factor, 6)
-        else:
-            key = "force_n"
-            table_n = [round(force_n * factor, 9) for force_n in law.force_n]
-            notes.settings["tactile.calibration.force_n"] = table_n
-        notes.warn(
-            f"The law was {abs(1.0 / factor - 1.0):.0%} off: tactile.calibration.{key} is now "
-            f"{factor:.3g} times that of before",
-            corrected=True,
-        )
+    if off or differ:
+        notes.settings["tactile.pad_gains"] = [round(gain, 4) for gain in gains]
 
 
 def _set_table(
@@ -587,7 +580,7 @@ def _set_table(
         return False
     if residual_n > _RESIDUAL_SHARE * max(true_n):
         return False
-    notes.settings["tactile.calibration"] = {"kind": "table", "counts": counts, "force_n": force_n}
+    notes.settings["tactile.calibration"] = {"counts": counts, "force_n": force_n}
     notes.values["table_residual_n"] = residual_n
     notes.warn(
         f"The law is a table of {len(counts)} lines now (tactile.calibration), residual "

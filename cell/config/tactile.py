@@ -52,27 +52,19 @@ class PadsConfig(Section):
     """Full scale of the counts, 1 to 65535; above 255 samples have 16 bits."""
 
 
-class PaperCalibrationConfig(Section):
-    """Resistive foam by equation (11) of the paper: R = 1.579 exp(-0.449 F) MOhm."""
+class CalibrationConfig(Section):
+    """Law from counts to force: a table, or the paper's equation (11).
 
-    kind: Literal["paper"] = "paper"
-    """Law from counts to force."""
-    gain: float = Field(default=1.0, ge=0.2, le=10.0)
-    """Factor on the force of each taxel, 0.2 to 10."""
-
-
-class TableCalibrationConfig(Section):
-    """Force at some counts, linear between them and beyond; `commission` measures it with weights.
-
-    One entry is a straight line.
+    That is R = 1.579 exp(-0.449 F) in MOhm and N. A table is linear between its entries and beyond
+    them; `commission` measures it with weights.
     """
 
-    kind: Literal["table"]
-    """Law from counts to force."""
-    counts: tuple[Annotated[float, Field(gt=0.0, le=65535.0)], ...] = Field(max_length=64)
-    """Tared counts of one taxel, rising."""
-    force_n: tuple[Annotated[float, Field(gt=0.0, le=100.0)], ...]
-    """Force on one taxel in N at each of them, rising."""
+    counts: tuple[Annotated[float, Field(gt=0.0, le=65535.0)], ...] = Field(
+        default=(), max_length=64
+    )
+    """Tared counts of one taxel, rising, of a table; without any the law is equation (11)."""
+    force_n: tuple[Annotated[float, Field(gt=0.0, le=100.0)], ...] = ()
+    """Force on one taxel in N at each of them, rising; one entry is a straight line."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -81,8 +73,9 @@ class TableCalibrationConfig(Section):
                 f"there are {len(self.counts)} counts and {len(self.force_n)} values of force_n; "
                 "write as many of each"
             )
-        with raised_as(ValueError, CalibrationError):
-            TableCalibration(self.counts, self.force_n, 1)
+        if self.counts:
+            with raised_as(ValueError, CalibrationError):
+                TableCalibration(self.counts, self.force_n, 1)
         return self
 
 
@@ -141,9 +134,7 @@ class TactileConfig(Section):
     pads of 4.7 mm pitch; or a section with pads of your own."""
     mounting: tuple[PadMountConfig, ...] = Field(default=(), max_length=32)
     """Pads that are mounted differently from the layout: exchanged, turned or mirrored."""
-    calibration: Annotated[
-        PaperCalibrationConfig | TableCalibrationConfig, Field(discriminator="kind")
-    ] = PaperCalibrationConfig()
+    calibration: CalibrationConfig = CalibrationConfig()
     """Law from counts to force."""
     pad_gains: tuple[PadGain, PadGain] = (1.0, 1.0)
     """Factors on the force of that law for the pads of finger 0 and 1, 0.2 to 5."""
@@ -280,6 +271,6 @@ def make_calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:
     gain: np.ndarray[Any, Any] | float = 1.0
     if config.pad_gains != (1.0, 1.0):
         gain = gains[[pad.finger for pad in layout.pads]][layout.taxel_pad]
-    if isinstance(law, PaperCalibrationConfig):
-        return FoamCalibration(adc_max=layout.adc_max, gain=law.gain * gain)
+    if not law.counts:
+        return FoamCalibration(layout.adc_max, gain)
     return TableCalibration(law.counts, law.force_n, layout.adc_max, gain)

@@ -133,18 +133,15 @@ class LocalHand:
     def grasp(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Close and follow the ramp; see `Hand`."""
         self._check_zero()
-        self._force.take()
         return self.gripper.grasp(ramp, observer=self._observer(watch))
 
     def press_pads_together(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Close the empty fingers onto each other; see `Hand`."""
         self._check_zero()
-        self._force.take()
         return self.gripper.press_pads_together(ramp, observer=self._observer(watch))
 
     def measure_load(self, watch: OnPeriod) -> tuple[TimeSpan, ...]:
         """Measure the servos' currents for their load; see `Hand`."""
-        self._force.take()
         return self.gripper.measure_load(self._observer(watch))
 
     def measure_friction(self, watch: OnPeriod) -> None:
@@ -153,12 +150,10 @@ class LocalHand:
 
     def hold_at(self, force_n: float, duration_s: float, watch: OnPeriod) -> None:
         """Hold the part with another force; see `Hand`."""
-        self._force.take()
         self.gripper.hold_at(force_n, duration_s, self._observer(watch))
 
     def squeeze(self, ramp: ForceRamp, watch: OnPeriod) -> GraspOutcome:
         """Follow a further ramp in the same grip; see `Hand`."""
-        self._force.take()
         return self.gripper.squeeze(ramp, self._observer(watch))
 
     def release(self, watch: OnPeriod | None = None) -> ReleaseReport:
@@ -201,6 +196,9 @@ class LocalHand:
         self._lines.close()
 
     def _observer(self, watch: OnPeriod) -> Callable[[Cycle], None]:
+        """Return the observer of one command; frames from before it are left out."""
+        self._force.take()
+
         def observe(cycle: Cycle) -> None:
             self._aim(cycle)
             frames = self._force.take()

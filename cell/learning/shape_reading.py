@@ -1,9 +1,11 @@
 """Shape and size: read from a grasp, and written as text."""
 
+from statistics import fmean
+
 import numpy as np
 
 from cell.config.model import CellConfig
-from cell.config.tactile import PaperCalibrationConfig, layout_from_config, make_calibration
+from cell.config.tactile import layout_from_config, make_calibration
 from cell.control.identification import ReadShape
 from cell.learning.parallel import one_blas_thread
 from recognition.errors import ContactError
@@ -28,13 +30,14 @@ _NOUNS = {
 def usual_foam(config: CellConfig) -> FoamModel:
     """Return the usual foam on a sensor with the config's law from force to counts."""
     layout, law = layout_from_config(config.tactile), config.tactile.calibration
-    if isinstance(law, PaperCalibrationConfig):
-        return FoamModel(gain=1.0 / law.gain)
+    gain = 1.0 / fmean(config.tactile.pad_gains)
+    if not law.counts:
+        return FoamModel(gain=gain)
     one_law = config.tactile.model_copy(update={"pad_gains": (1.0, 1.0)})
     counts = np.unique([0.0, *law.counts, layout.adc_max])
     counts = counts[counts <= layout.adc_max]
     force_n = make_calibration(one_law, layout).force_n(counts)
-    return FoamModel(nodes=(tuple(force_n), tuple(counts / layout.adc_max)))
+    return FoamModel(gain=gain, nodes=(tuple(force_n), tuple(counts / layout.adc_max)))
 
 
 def shape_reader(config: CellConfig) -> ReadShape | None:

@@ -319,10 +319,15 @@ class GripStep:
             goals = standing(goals, moment.state)
         elif self._slip is not None and not control.watch.suspicious:
             self._slip.check(moment, level, setpoint_n=setpoint_n)
-        done = self.lost or self._time.settled(control.force_n)
+        done = self.lost or self._over(control.force_n)
         if done and not self.lost:
+            # The last goals stay in force: a push would go on.
             goals = control.quiet_goals(moment)
         return Action(goals=goals, setpoint_n=setpoint_n, level=level, done=done)
+
+    def _over(self, force_n: float) -> bool:
+        """Return whether the step is the last one, at a force in N."""
+        return self._time.settled(force_n)
 
     def outcome(self, final: ServoFeedback) -> GraspOutcome:
         """Return the outcome of the ramp; ``final`` is its last feedback."""
@@ -411,39 +416,22 @@ class ContactStep(GripStep):
         )
 
 
-class HoldStep:
-    """Step of control that holds the last set-point for a time.
-
-    Parameters
-    ----------
-    settings
-        Of the gripper.
-    control
-        Control of the held part.
-    duration_s
-        Time in s.
-    """
+class HoldStep(GripStep):
+    """Step of control that holds the last set-point for a time in s; it may be without end."""
 
     def __init__(self, settings: GripperSettings, control: GripControl, duration_s: float) -> None:
-        self._settings = settings
-        self._control = control
-        self._duration_s = duration_s
-        self._setpoint_n = control.grip.setpoint_n
-        self._slip = LevelSlip(settings)
-        self._elapsed_s = 0.0
-        control.resume()
+        held_n = control.grip.setpoint_n
+        held = ForceRamp.linear(held_n, 1.0, start_n=held_n)
+        super().__init__(settings, control, held, slip=LevelSlip(settings))
+        self._left_s = duration_s
 
     def step(self, moment: Moment) -> Action:
         """Return the action of one period; PartLost, PartSlipped when the part goes."""
-        self._elapsed_s += moment.dt_s
-        _check_part(self._control, moment)
-        if not self._control.watch.suspicious:
-            self._slip.check(moment, 0, setpoint_n=self._setpoint_n)
-        goals = self._control.goals(moment, self._setpoint_n)
-        done = self._elapsed_s >= self._duration_s - _EQUAL_S
-        # The last goals stay in force: a push would go on.
-        goals = self._control.quiet_goals(moment) if done else goals
-        return Action(goals=goals, setpoint_n=self._setpoint_n, done=done)
+        self._left_s -= moment.dt_s
+        return replace(super().step(moment), level=None)
+
+    def _over(self, _force_n: float) -> bool:
+        return self._left_s <= _EQUAL_S
 
 
 def _check_part(control: GripControl, moment: Moment) -> None:

@@ -44,7 +44,6 @@ def config(plugin_name: str, cell_config: CellConfig) -> CellConfig:
         "tactile.sensor": {"kind": plugin_name},
         "tactile.layout": section.layout,
         "tactile.calibration": {
-            "kind": "table",
             "counts": [layout_from_config(layout).adc_max],
             "force_n": [PRESS_N],
         },

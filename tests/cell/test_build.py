@@ -166,7 +166,7 @@ def test_servos_and_noise_are_as_the_config_says() -> None:
         ("simulator.faults", ["servo3.off"], "simulator: fault servo3.off: this cell has no"),
         (
             "tactile.calibration",
-            {"kind": "table", "counts": [1], "force_n": [0.05]},
+            {"counts": [1], "force_n": [0.05]},
             "is 1.2 N on a pad at rest under tactile.calibration, gripper.contact_force_n is 0.6 N",
         ),
     ],
@@ -287,7 +287,7 @@ FLEXITAC, USKIN = (load_config(ROOT / "config" / f"{name}.yaml") for name in ("f
 OPERATED = {"gripper.port": "/dev/ttyUSB0", "positioner": {"kind": "operator"}}
 
 
-TABLE = {"kind": "table", "force_n": [1.0, 2.0]}
+TABLE = {"force_n": [1.0, 2.0]}
 DRIVES = {"kind": "axes", "can": {"interface": "socketcan", "channel": "can0"}, "axes": [X_AXIS]}
 REAL_CAN = {
     "gripper.port": "/dev/ttyUSB0",

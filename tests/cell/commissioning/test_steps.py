@@ -739,19 +739,20 @@ def test_the_law_of_the_foam_is_right_or_named_and_set_right(make_stand, measure
         return
     assert finding.status is Verdict.WARN
     assert "The law was 2" in finding.lines[-1]
-    gain = finding.settings["tactile.calibration.gain"]
-    assert gain == pytest.approx(1.0 / measured, rel=0.06)
+    gain, other = finding.settings["tactile.pad_gains"]
+    assert gain == other == pytest.approx(1.0 / measured, rel=0.06)
     assert finding.corrected == [finding.lines[-1]]
-    assert f"tactile.calibration.gain is now {gain:.3g} times that of before" in finding.lines[-1]
+    assert f"pad_gains are {gain:.3g} times those of before" in finding.lines[-1]
 
 
-def test_a_linear_law_is_set_by_its_force_of_a_count(make_stand: MakeStand) -> None:
+def test_a_table_that_is_wrong_by_a_factor_stays_with_gains_of_the_pads(make_stand) -> None:
     stand = make_stand(law=SensorLaw(nodes=((0.0, 0.0012 * 4095), (0.0, 4095.0))))
-    law = {"kind": "table", "counts": [1000.0], "force_n": [1.0]}
+    law = {"counts": [1000.0], "force_n": [1.0]}
     stand.knows(tactile__tare_frames=60, tactile__calibration=law)
     finding = stand.run(LAW)
     assert finding.status is Verdict.WARN, finding.lines
-    assert finding.settings["tactile.calibration.force_n"] == pytest.approx([1.2], rel=0.05)
+    assert finding.settings["tactile.pad_gains"] == pytest.approx([1.2, 1.2], rel=0.05)
+    assert "tactile.calibration" not in finding.settings
 
 
 def test_without_a_scale_the_forces_are_unchecked(make_stand: MakeStand) -> None:
@@ -799,12 +800,11 @@ def test_loads_that_bend_make_a_table() -> None:
     tactile = TactileConfig.model_validate(
         {
             "layout": "flexitac_12x32",
-            "calibration": {"kind": "table", "counts": (1,), "force_n": (0.01,)},
+            "calibration": {"counts": (1,), "force_n": (0.01,)},
         }
     )
     judge_law(tactile, loads, finding := Notes(), 255)
     law = finding.settings["tactile.calibration"]
-    assert law["kind"] == "table"
     table = TableCalibration(tuple(law["counts"]), tuple(law["force_n"]), 255)
     counts = np.array([40.0, 80.0, 110.0])
     assert table.force_n(counts) == pytest.approx(TRUE.force_n(counts), rel=0.15)

@@ -126,7 +126,7 @@ CAN = PORT + "tactile: {interface: socketcan, channel: can0}\n"
             ["max_a is 2.4 A, servo 1 (XM430-W350) makes at most 2.3 A"],
         ),
         (
-            "tactile: {calibration: {kind: table, counts: [1], force_n: [0.001]}}\n",
+            "tactile: {calibration: {counts: [1], force_n: [0.001]}}\n",
             ["asks for 8 N", "taxel saturates at 0.255 N", "up to 2.04 N"],
         ),
         ("gripper:\n  force_max_n: .nan\n", ["cell.yaml:2", "gripper.force_max_n", "finite"]),

@@ -295,7 +295,7 @@ def test_a_further_ramp_follows_the_frames_of_the_first_one_before_it() -> None:
 
 
 def test_list_is_taken_in_order_and_anew() -> None:
-    listed = [{"x_mm": 1.0, "force_n": 3.0}, {"rotation_deg": 90.0}]
+    listed = ({"x_mm": 1.0, "force_n": 3.0}, {"rotation_deg": 90.0})
     config = SequenceConfig.model_validate({"poses": listed})
     steps = plan(config, 3, seed=0)
     assert steps[0].pose == Pose(x_m=1e-3)

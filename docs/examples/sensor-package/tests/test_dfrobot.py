@@ -9,7 +9,6 @@ CONFIG = {
     "tactile.sensor": {"kind": "dfrobot"},
     "tactile.layout": LAYOUT,
     "tactile.calibration": {
-        "kind": "table",
         "counts": [256.0, 512.0, 1024.0, 1536.0, 2500.0],
         "force_n": [0.049, 0.124, 0.31, 0.571, 1.6],
     },
