@@ -37,18 +37,13 @@ class Entry(NamedTuple):
 
 
 def mark(path: Path) -> None:
-    """Mark a recording, so that it is never deleted. Raises RecordingError."""
+    """Mark a recording, so that it is never deleted; without the file of its mark it may be.
+
+    Raises RecordingError.
+    """
     if path.suffix != ".mcap" or not path.is_file() or not path.stat().st_size:
         raise RecordingError(f"{path} is not a recording, or empty; name an .mcap file with data")
     write_text(_mark_of(path), "", error=RecordingError, what="mark")
-
-
-def unmark(path: Path) -> None:
-    """Remove the mark of a recording, if it has one. Raises RecordingError on failure."""
-    try:
-        _mark_of(path).unlink(missing_ok=True)
-    except OSError as error:
-        raise RecordingError(f"cannot remove the mark of {path}: {error.strerror}") from error
 
 
 def recordings(folder: Path) -> list[Entry]:

@@ -100,9 +100,10 @@ def test_the_page_on_recordings_can_be_typed(here) -> None:
     recording.write_bytes(bytes(2_000_000))
     os.utime(recording, 2 * (datetime(2027, 1, 15, 8, 30).timestamp(),))
     mark(recording)
-    listed, marked, unmarked = typed("how-to/keep-recordings.md")
+    listed, marked = typed("how-to/keep-recordings.md")
     assert f"  {recording}: MB 2.0, last write 2027-01-15 08:30, marked yes\n" in listed
-    assert (marked, unmarked) == (f"{recording}: marked\n", f"{recording}: not marked\n")
+    assert marked == f"{recording}: marked by recording.mcap.keep beside it\n"
+    assert recording.with_name("recording.mcap.keep").is_file()
     well = SimpleNamespace(n_faults=0, fault=None)
     history = History(Path("out/history-press-4.sqlite3"), lambda: well)
     history.update()

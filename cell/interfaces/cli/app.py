@@ -44,7 +44,6 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "plot": ("recording:plot", "Draw a grasp (PNG, SVG)."),
         "list": ("recording:list_recordings", "List the recordings in a folder."),
         "mark": ("recording:mark", "Mark recordings, so that they are never deleted."),
-        "unmark": ("recording:unmark", "Remove the mark of recordings."),
         "recover": ("recording:recover", "Save the undamaged data of a damaged recording."),
     },
     "archive": {

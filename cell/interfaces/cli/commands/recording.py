@@ -14,11 +14,9 @@ from cell.interfaces.cli import options
 from cell.interfaces.cli.terminal import plain_text, print_line, print_table, show
 from cell.recording.dataset import read_grasps
 from cell.recording.reader import read_recording, recover_recording
-from cell.recording.retention import mark as mark_one, recordings, unmark as unmark_one
+from cell.recording.retention import MARK, mark as mark_one, recordings
 from cell.report.page import grasp_figure, write_picture, write_report
 from cell.report.recorded import recorded_report
-
-RecordingsArgument = Annotated[list[Path], typer.Argument(help="Recordings (.mcap).")]
 
 
 def list_recordings(
@@ -35,18 +33,13 @@ def list_recordings(
     print_table(table)
 
 
-def mark(recordings: RecordingsArgument) -> None:
+def mark(
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings (.mcap).")],
+) -> None:
     """Mark recordings, so that they are never deleted."""
     for path in recordings:
         mark_one(path)
-        print_line(f"{path}: marked")
-
-
-def unmark(recordings: RecordingsArgument) -> None:
-    """Remove the mark of recordings."""
-    for path in recordings:
-        unmark_one(path)
-        print_line(f"{path}: not marked")
+        print_line(f"{path}: marked by {path.name}{MARK} beside it")
 
 
 def report(
