@@ -419,7 +419,7 @@ def test_evaluate_prints_what_is_taken_for_which_object_and_what_is_left_out(
     tested = tmp_path / "tested.npz"
     write_dataset(tested, [replace(ball, label="box"), *others])
     both = ("--recognizer", "force_ramp", "--recognizer", "level_check")
-    command = ("model", "evaluate", tested, "--train", dataset, *both, "--fuse", "1,2")
+    command = ("model", "evaluate", tested, "--train", dataset, *both, "--fuse", "1", "--fuse", "2")
     command += ("--json", tmp_path / "e.json")
     result = RUNNER.invoke(app, [str(one) for one in command], catch_exceptions=False)
     said = " ".join(result.output.split())

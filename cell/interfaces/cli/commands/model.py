@@ -186,7 +186,12 @@ def evaluate(
             "out in turn.",
         ),
     ] = "chronological:0.6",
-    fuse: Annotated[str, typer.Option("--fuse", help="Numbers of grasps to fuse.")] = "1,2,3,5",
+    fuse: Annotated[
+        list[int] | None,
+        typer.Option(
+            "--fuse", min=1, help="Grasps to fuse; repeat for several [default: 1, 2, 3, 5]."
+        ),
+    ] = None,
     recognizers: Annotated[
         list[str] | None,
         typer.Option(
@@ -220,24 +225,13 @@ def evaluate(
             split=split,
             train=taught,
             names=names,
-            fuse=_numbers(fuse),
+            fuse=fuse or (1, 2, 3, 5),
             mapper=mapper,
             progress=progress,
         )
     for name, reason in result.left_out.items():
         print_note(f"{name} is left out: {reason}")
     show(_lines(result), result.as_json(), json_file)
-
-
-def _numbers(text: str) -> tuple[int, ...]:
-
-    try:
-        numbers = tuple(int(part) for part in text.split(","))
-    except ValueError:
-        numbers = ()
-    if not numbers or min(numbers) < 1:
-        raise ConfigError(f"--fuse is {text!r}; write numbers from 1, for example 1,2,3,5")
-    return numbers
 
 
 def _with_interval(
@@ -250,7 +244,6 @@ def _with_interval(
 
 
 def _lines(result: EvaluationResult) -> Iterator[str | Table]:
-
     yield (
         f"{result.split}: {result.n_train} grasps to train, {result.n_test} to test, "
         f"{len(result.labels)} objects"

@@ -326,20 +326,14 @@ def install(
     changed = False
     if config is not None and not checked.serve.ports:
         print_note(ALL_CLOSED)
-    for path in (Path(program()[0]), config, model):
-        if path is not None and (closed := closed_to_others(path)) is not None:
-            print_note(
-                f"{path}: the user {NAME} cannot read {closed}; move it, for example to "
-                f"{STATE_FOLDER} or /opt, or permit it: chmod o+rX"
-            )
-    secrets = (checked.serve.token_file, checked.serve.secret_file, checked.serve.tls_key)
-    for path in map(Path, filter(None, secrets)):
-        closed = closed_to_others(path)
-        if closed is not None and closed.group() != NAME:
-            print_note(
-                f"{path}: the user {NAME} cannot read {closed}; give it to its group alone: "
-                f"chgrp {NAME} {closed} && chmod g+rX {closed}"
-            )
+    secrets = {Path(name) for key in _SECRET_KEYS if (name := getattr(checked.serve, key))}
+    for path in filter(None, (Path(program()[0]), config, model, *sorted(secrets))):
+        if (closed := closed_to_others(path)) is None or closed.group() == NAME:
+            continue
+        advice = f"move it, for example to {STATE_FOLDER} or /opt, or permit it: chmod o+rX"
+        if path in secrets:
+            advice = f"give it to its group alone: chgrp {NAME} {closed} && chmod g+rX {closed}"
+        print_note(f"{path}: the user {NAME} cannot read {closed}; {advice}")
     for file, text in files.items():
         path = root / file.relative_to("/")
         if apply:
