@@ -12,7 +12,7 @@ from typing import Self
 
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.control_table import PRESENT_POSITION, STATUS_RETURN_LEVEL
+from gripper.dynamixel.control_table import PRESENT_POSITION
 from gripper.dynamixel.drive import DriveCharacteristic, DriveReport
 from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.serial_port import ByteStream, open_line
@@ -164,8 +164,7 @@ class Gripper:
         """
         self._life.check_ready("start")
         self._servos.require_present()
-        if STATUS_RETURN_LEVEL.name in self.settings.corrected_registers:
-            self.bus.demand_answers(self._ids)
+        self.bus.demand_answers(self._ids)
         for servo_id, seen in self._servos.feedback.check.strayed.items():
             raise FeedbackImplausible(
                 f"servo {servo_id}: {seen}, and it was not restarted since then: the position of "

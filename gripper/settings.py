@@ -6,7 +6,7 @@ with these defaults and ranges.
 
 from dataclasses import dataclass, field, fields
 from math import inf, isfinite
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar
 
 from gripper.dynamixel.control_table import WATCHDOG_UNIT_S
 from gripper.dynamixel.drive import DriveCharacteristic, Drives
@@ -16,18 +16,6 @@ from gripper.errors import LimitExceeded
 
 HARD_FORCE_CAP_N = 50.0
 """Largest grip force in N of any setting; not a safety function, see the documentation."""
-
-Correctable = Literal[
-    "return_delay_time",
-    "operating_mode",
-    "status_return_level",
-    "pwm_slope",
-    "position_d_gain",
-    "position_i_gain",
-    "position_p_gain",
-]
-CORRECTABLE: frozenset[str] = frozenset(get_args(Correctable))
-"""Registers that a start may rewrite: they do not change mechanics or protection of a servo."""
 
 _OVERSHOOT_N, _OVERSHOOT_SHARE = 0.3, 0.1
 """Largest overshoot of a ramp in N, and as a share of its force; the larger of the two counts."""
@@ -196,8 +184,6 @@ class GripperSettings:
     settle_tolerance_n: float = setting(0.3, low=0.0, high=5.0)
     settle_tolerance_share: float = setting(0.07, low=0.0, high=0.5)
     """Tolerance of a reached force in N, or as a share of the force if that is more."""
-    corrected_registers: frozenset[str] = CORRECTABLE
-    """Registers that a start corrects while the torque is off; the others are only compared."""
     drives: Drives = field(default_factory=Drives, repr=False, compare=False)
     """Newest drive characteristic of each servo; settings made of these share it."""
 
@@ -216,11 +202,6 @@ class GripperSettings:
                     f"current_max_a is {self.current_max_a:g} A, servo {servo.servo_id} "
                     f"({servo.model}) makes at most {most_a:g} A"
                 )
-        if not self.corrected_registers <= CORRECTABLE:
-            raise LimitExceeded(
-                f"corrected_registers names {sorted(self.corrected_registers - CORRECTABLE)}, only "
-                f"{', '.join(sorted(CORRECTABLE))} can be corrected"
-            )
 
     @property
     def period_s(self) -> float:

@@ -29,7 +29,7 @@ from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import model_name
 from gripper.errors import AnswersOff, GripperError, VerificationFailed
 from gripper.force.approach.mechanics_proof import POSITION_ITEM
-from gripper.settings import CORRECTABLE
+from gripper.servos.verification import CORRECTABLE
 from gripper.values.servo_checks import VerificationRow, overload_text
 from motion.errors import AxisMissing, AxisSilent, MotionError
 from tactile.errors import IdentityMismatch, TactileError

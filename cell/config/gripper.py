@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -21,7 +21,7 @@ from gripper.dynamixel.models import (
 )
 from gripper.errors import LimitExceeded
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
-from gripper.settings import Correctable, GripperSettings, ServoSettings
+from gripper.settings import GripperSettings, ServoSettings
 
 _SCALE_SD, _FRICTION_SD = 0.05, 0.1
 """Uncertainty of a torque by an arm and a kitchen scale, and of a friction, which changes with the
@@ -49,13 +49,6 @@ class SlipConfig(Section):
     drop_n: float = setting_of(GripperSettings, "slip_drop_n")
     """Sudden drop of the held force that means a slip in N, up to 20; above the sensor's noise. A
     drop by less than 15 % of the force is none."""
-
-
-class ServoCareConfig(Section):
-    """Registers that a start may rewrite."""
-
-    corrected_registers: tuple[Correctable, ...] = get_args(Correctable)
-    """Registers that a start rewrites if they differ; other differing registers are refused."""
 
 
 def use_servo_models(names: Iterable[str]) -> None:
@@ -181,8 +174,6 @@ class GripperConfig(Section):
     """Approach and contact."""
     slip: SlipConfig = SlipConfig()
     """When a held part slips or is lost."""
-    servo_care: ServoCareConfig = ServoCareConfig()
-    """Heat of the servos, and registers that a start may rewrite."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -226,7 +217,6 @@ def gripper_settings(config: GripperConfig, *, overruns_max: int) -> GripperSett
         ),
         watchdog_self_test=config.watchdog_self_test,
         overruns_max=overruns_max,
-        corrected_registers=frozenset(config.servo_care.corrected_registers),
         **values,
     )
 

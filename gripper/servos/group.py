@@ -41,7 +41,7 @@ from gripper.servos.goal_limits import (
     closing_margin_rad,
     standing,
 )
-from gripper.servos.verification import Requirement, requirements
+from gripper.servos.verification import CORRECTABLE, Requirement, requirements
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.servo_checks import (
     HardwareError,
@@ -430,7 +430,7 @@ class Servos:
         for required in self._required(servo):
             register = REGISTERS[required.item]
             raw = self._bus.read(servo_id, register)
-            allowed = correct and required.item in self._settings.corrected_registers
+            allowed = correct and required.item in CORRECTABLE
             if corrects := allowed and not required.met_by(raw):
                 self._bus.write(servo_id, register, required.low)
                 raw = self._bus.read(servo_id, register)

@@ -8,6 +8,14 @@ from gripper.dynamixel.bus import HIGHEST_ID
 from gripper.dynamixel.models import PWM_SLOPE_RAW, OperatingMode, ServoModel
 from gripper.values.servo_checks import HardwareError, VerificationRow
 
+CORRECTABLE = frozenset(
+    (
+        *("return_delay_time", "operating_mode", "status_return_level", "pwm_slope"),
+        *("position_d_gain", "position_i_gain", "position_p_gain"),
+    )
+)
+"""Registers that a start corrects while the torque is off: they do not change the mechanics or the
+protection of a servo."""
 _DRIVE_MODE_MASK = 0b1101
 """Bits of Drive Mode (register 10) that must be 0: reverse, time-based profile, torque by goal."""
 _STARTUP_MASK = 0b11
@@ -61,7 +69,7 @@ def requirements(
 ) -> tuple[Requirement, ...]:
     """Return the requirements of the registers of a servo that this package may drive.
 
-    Those of `gripper.settings.CORRECTABLE` have one right value. Items that change the mechanics or
+    Those of `CORRECTABLE` have one right value. Items that change the mechanics or
     the protection of the servo are only compared: the user decides on them.
     """
     # The lowest supply needs most.

@@ -35,7 +35,6 @@ from gripper.errors import (
 )
 from gripper.force.ramp import ForceRamp
 from gripper.servos import feedback
-from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.state import GripperPhase
 from simulator.servo.faults import Chatter, WireFaults
 from tests.marks import LONG
@@ -378,37 +377,12 @@ def test_what_does_not_answer_gets_a_hint(cell, change, hint: str) -> None:
     assert cell.clock.monotonic() - before_s < 2.0
 
 
-def test_what_may_be_corrected_is_a_setting(make_cell) -> None:
-    cell = make_cell(corrected_registers=frozenset({"status_return_level"}))
-    with pytest.raises(VerificationFailed, match=r"operating_mode: expected 5, found 3"):
-        cell.gripper.start()
-    with pytest.raises(LimitExceeded, match="drive_mode"):
-        GripperSettings(
-            servos=(ServoSettings(servo_id=1),), corrected_registers=frozenset({"drive_mode"})
-        )
-
-
 @pytest.mark.parametrize("level", [0, 1])
 def test_servos_that_confirm_no_write_are_told_to_before_anything_else(cell, level: int) -> None:
     for servo in cell.servos:
         servo.registers.put("status_return_level", level)
     assert cell.gripper.start().ok
     assert cell.register(1, "status_return_level") == 2
-
-
-@pytest.mark.parametrize("level", [0, 1])
-def test_a_level_that_may_not_be_corrected_is_named_with_its_register(make_cell, level) -> None:
-    cell = make_cell(corrected_registers=frozenset({"operating_mode", "return_delay_time"}))
-    cell.servos[1].registers.put("status_return_level", level)
-    with pytest.raises(AnswersOff, match=r"servo 2, although it answers pings: .*\(register 68\)"):
-        cell.gripper.start()
-    assert [str(one) for one in cell.gripper.conditions()] == [
-        "servo 1 has no torque",
-        "servo 2 has no torque"
-        if level
-        else "servo 2 answers pings only: its Status Return Level (register 68) is 0; a start or a "
-        "release sets it to 2",
-    ]
 
 
 @pytest.mark.parametrize("model", [XM430_W350, XL330_M288])
@@ -531,9 +505,21 @@ def test_a_reboot_is_judged_by_the_servo_not_by_its_answer(cell, monkeypatch, lo
     assert gripper.start().ok
 
 
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_servo_that_does_not_confirm_is_named_with_its_register(cell, level) -> None:
+    cell.servos[1].registers.put("status_return_level", level)
+    with pytest.raises(AnswersOff, match=r"servo 2, although it answers pings: .*\(register 68\)"):
+        cell.bus.write(2, TORQUE_ENABLE, 0)
+    assert str(cell.gripper.conditions()[1]) == (
+        "servo 2 has no torque"
+        if level
+        else "servo 2 answers pings only: its Status Return Level (register 68) is 0; a start or a "
+        "release sets it to 2"
+    )
+
+
 @pytest.mark.parametrize("levels", [(0, 0), (1, 2)])
-def test_a_part_is_let_go_by_servos_that_confirm_no_write(make_cell, levels) -> None:
-    cell = make_cell(corrected_registers=frozenset({"operating_mode", "return_delay_time"}))
+def test_a_part_is_let_go_by_servos_that_confirm_no_write(cell, levels) -> None:
     leave_part(cell)
     for servo, level in zip(cell.servos, levels, strict=True):
         servo.registers.put("status_return_level", level)

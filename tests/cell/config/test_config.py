@@ -34,7 +34,6 @@ from cell.files import CONFIG
 from cell.sensors.flexitac import FlexiTacConfig
 from cell.simulation import simulation_of
 from gripper.mechanics.kinematics import end_transmissions
-from gripper.settings import GripperSettings
 from tactile.flexitac import PROFILES
 from tactile.layout import LAYOUTS
 from tests.faults.campaign import (
@@ -260,14 +259,6 @@ def test_the_channel_of_an_adapter_may_be_its_number() -> None:
     assert parse_config("tactile: {channel: 0}", source="test").tactile.channel == "0"
     with pytest.raises(ConfigError, match=r"tactile\.channel"):
         parse_config("tactile: {channel: true}", source="test")
-
-
-def test_keys_without_a_number_reach_the_gripper() -> None:
-    changes = {"gripper.servo_care.corrected_registers": ["operating_mode"]}
-    settings = changed_config(CellConfig(), changes).gripper_settings
-    assert settings.corrected_registers == {"operating_mode"}
-    plain, own = CellConfig().gripper_settings, GripperSettings()
-    assert plain.corrected_registers == own.corrected_registers
 
 
 def pad(finger: Any, face: Any = "inner", rows: int = 4, columns: int = 3) -> PadConfig:
