@@ -107,10 +107,10 @@ class Gripper:
         self._ids = [servo.servo_id for servo in settings.servos]
         self._servos = servos = Servos(bus, linkage, settings, clock)
         self._sensor = force_sensor
-        self._runner = runner = LoopRunner(servos, force_sensor, settings, clock)
-        self._life = Lifecycle(runner)
+        self._life = life = Lifecycle(servos, force_sensor, clock)
+        self._runner = runner = LoopRunner(servos, force_sensor, settings, clock, life.state)
         self._free = FreeMotion(settings)
-        self._grasping = GraspRun(runner, linkage, settings, self._life.set_phase, self._free)
+        self._grasping = GraspRun(runner, linkage, settings, life.set_phase, self._free)
         self._link_checked = self._watchdog_proven = False
         self._carried: Running | None = None
         self._one: Gripper | None = None
@@ -132,7 +132,7 @@ class Gripper:
     @property
     def phase(self) -> GripperPhase:
         """Phase of the gripper."""
-        return self._runner.phase
+        return self._life.phase
 
     @property
     def fault(self) -> BaseException | None:
@@ -171,7 +171,7 @@ class Gripper:
                 f"its finger is unknown, and nothing is moved. Check encoder, horn and linkage, "
                 f"then clear the fault with a reboot"
             )
-        held_before = self._runner.phase is not GripperPhase.IDLE
+        held_before = self._life.phase is not GripperPhase.IDLE
         if not any(self._servos.torques()):
             self._life.switched_off()
             report = self._servos.verify(correct=True, refuse=True)
@@ -227,7 +227,7 @@ class Gripper:
             raise
         return Cycle(
             t_s=state.t_s,
-            phase=self._runner.phase,
+            phase=self._life.phase,
             state=state,
             goal_current_a=self._servos.goal_current_a,
         )
@@ -376,7 +376,7 @@ class Gripper:
             self._make_ready()
             if force_n != control.grip.setpoint_n:
                 state = self._runner.run(GripStep(self.settings, control, ramp).step)
-            self._runner.phase = GripperPhase.HOLDING
+            self._life.state.phase = GripperPhase.HOLDING
             if duration_s > 0.0 or force_n == control.grip.setpoint_n:
                 hold_s = max(duration_s, self.settings.period_s)
                 state = self._runner.run(HoldStep(self.settings, control, hold_s).step)
@@ -539,7 +539,7 @@ class Gripper:
 
         The goals of a grip are frozen; moving fingers stop.
         """
-        self._runner.stop_request.set()
+        self._life.state.stop_request.set()
         if self._one is not None:
             self._one.request_stop()
 
@@ -551,7 +551,7 @@ class Gripper:
         After any other fault it does not wait for a silent servo, so that the fault is reported
         without delay.
         """
-        if self._runner.phase is GripperPhase.OFF or bus_is_lost(self._life.fault):
+        if self._life.phase is GripperPhase.OFF or bus_is_lost(self._life.fault):
             return
         if self._life.motion_unconfirmed:
             return
@@ -620,13 +620,13 @@ class Gripper:
         so that a trip does not end the grip. The watchdog stays armed if only it stops moving
         fingers.
         """
-        if self._runner.phase is GripperPhase.OFF or self._life.motion_unconfirmed:
+        if self._life.phase is GripperPhase.OFF or self._life.motion_unconfirmed:
             return
         # Without a bus nothing can be changed; the grip stays as it is.
         with suppress(GripperError):
-            if self._runner.phase is GripperPhase.IDLE and self._life.fault is None:
+            if self._life.phase is GripperPhase.IDLE and self._life.fault is None:
                 self._servos.switch_off()
-                self._runner.phase = GripperPhase.OFF
+                self._life.switched_off()
             else:
                 self._freeze_carried()
                 self._servos.disarm_watchdog()
@@ -719,7 +719,7 @@ class Gripper:
         )
         one._link_checked = self._link_checked
         self._servos.forget()
-        self._runner.phase, self._life.running = GripperPhase.RELEASING, True
+        self._life.state.phase, self._life.running = GripperPhase.RELEASING, True
         try:
             state = one.release(observer).state
             with suppress(GripperError):

@@ -3,8 +3,11 @@
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from enum import StrEnum
+from math import inf
+from operator import gt
 from typing import NamedTuple
 
+from gripper.clock import Clock
 from gripper.errors import (
     BusCorrupt,
     BusTimeout,
@@ -20,8 +23,20 @@ from gripper.errors import (
     ServoFault,
     note_fingers,
 )
-from gripper.force.loop import LoopRunner
+from gripper.force.loop import CommandState
+from gripper.mechanics.impact import most_peak_n
+from gripper.mechanics.kinematics import opening_steps_m
+from gripper.servos.goal_limits import standing
+from gripper.servos.group import Servos, lowered
+from gripper.values.force_sensor import ForceSensor
 from gripper.values.state import GripperPhase, Observer, shows_nothing
+
+_LOWERING_S, _LONGEST_LOWERING = 0.1, 4.0
+"""Time in s in which the currents of too much force fall to 0. The force has followed after this
+multiple of it at the latest. [chosen]"""
+_FOLLOWS_SHARE, _UNSEEN_STEPS = 0.95, 2.0
+"""Share of the force below which samples have followed fingers that opened, and way in
+steps of the opening after which they must have. [chosen]"""
 
 _DOING = {
     GripperPhase.OPENING: "opening",
@@ -83,9 +98,17 @@ def bus_is_lost(error: BaseException | None) -> bool:
 
 
 class Lifecycle:
-    """Phase of the gripper, whether a part may be held, and the latched fault."""
+    """Phase of the gripper, whether a part may be held, and the latched fault with its response.
 
-    def __init__(self, runner: LoopRunner) -> None:
+    Parameters
+    ----------
+    servos, sensor, clock
+        Of the gripper.
+    """
+
+    def __init__(self, servos: Servos, sensor: ForceSensor, clock: Clock) -> None:
+        self.state = CommandState()
+        """Phase, observer and stop request of the running command, for the loop."""
         self.part_possible = False
         """True from the start of an approach until the end of a release, or until nothing is found.
         """
@@ -97,22 +120,26 @@ class Lifecycle:
         """True while a command runs."""
         self.motion_unconfirmed = False
         """True after a fault in a motion that only a servo's bus watchdog ends."""
-        self._runner = runner
-        self._servos = runner.servos
+        self._servos, self._sensor, self._clock = servos, sensor, clock
+
+    @property
+    def phase(self) -> GripperPhase:
+        """Phase of the gripper."""
+        return self.state.phase
 
     def set_phase(self, phase: GripperPhase) -> None:
         """Set the phase; from the ramp on the force can be controlled."""
-        self._runner.phase = phase
+        self.state.phase = phase
         self.controlled = phase is GripperPhase.RAMPING
 
     def rest(self) -> None:
         """Set the phase after a command, or for frozen goals: it depends on the part."""
         if self.fault is not None or (self.part_possible and not self.controlled):
-            self._runner.phase = GripperPhase.HELD_AFTER_FAULT
+            self.state.phase = GripperPhase.HELD_AFTER_FAULT
         elif self.part_possible:
-            self._runner.phase = GripperPhase.HOLDING
+            self.state.phase = GripperPhase.HOLDING
         else:
-            self._runner.phase = GripperPhase.IDLE
+            self.state.phase = GripperPhase.IDLE
 
     def torque_from_before(self) -> None:
         """Set the phase for torque from before the start: a part may be held, force unknown."""
@@ -124,7 +151,7 @@ class Lifecycle:
         self._servos.forget()
         self.part_possible = False
         self.controlled = False
-        self._runner.phase = GripperPhase.OFF
+        self.state.phase = GripperPhase.OFF
 
     def check_ready(self, command: str) -> None:
         """Raise GripperStateError when a command is not possible now; see `COMMANDS`."""
@@ -136,18 +163,18 @@ class Lifecycle:
                 f"clear_fault first"
             )
         phases = COMMANDS[command].phases
-        if phases and self._runner.phase not in phases:
+        if phases and self.state.phase not in phases:
             hint = ": release the part first" if self.part_possible else ""
             raise GripperStateError(
-                f"{command} is not possible in the state {self._runner.phase.name}{hint}"
+                f"{command} is not possible in the state {self.state.phase.name}{hint}"
             )
 
     @contextmanager
     def command(self, command: str, observer: Observer | None) -> Iterator[None]:
         """Run one command in its phase; a stop freezes the goals, or stops moving fingers."""
-        self._runner.stop_request.clear()
-        self._runner.phase = COMMANDS[command].running
-        self._runner.observer = observer
+        self.state.stop_request.clear()
+        self.state.phase = COMMANDS[command].running
+        self.state.observer = observer
         self.running = True
         try:
             yield
@@ -159,7 +186,7 @@ class Lifecycle:
             raise
         finally:
             self.running = False
-            self._runner.observer = None
+            self.state.observer = None
             self.rest()
 
     def take_over(self, carrier: "Lifecycle") -> None:
@@ -171,26 +198,26 @@ class Lifecycle:
         """Latch an error as a fault, and keep the grip."""
         self.fault = error
         self.part_possible |= isinstance(error, FingerBlocked)
-        phase, self._runner.phase = self._runner.phase, GripperPhase.HELD_AFTER_FAULT
+        phase, self.state.phase = self.state.phase, GripperPhase.HELD_AFTER_FAULT
         left = FingersLeft.UNCONFIRMED
         # The raised error names the cause; a bus that fails again adds nothing.
         with suppress(GripperError):
-            left = fault_response(error, self._runner, moving=phase.moving)
+            left = self._respond(error, moving=phase.moving)
         self._note_fingers(error, phase, left)
         self.motion_unconfirmed = phase.moving and left is FingersLeft.UNCONFIRMED
 
     def _stop(self, stop: GraspStopped) -> None:
-        if not self._runner.phase.moving:
+        if not self.state.phase.moving:
             with suppress(GripperError):
                 self._servos.freeze()
             return
         with self._servos.in_loop():
             unconfirmed = self._servos.stop_motion()
         if not unconfirmed:
-            self._note_fingers(stop, self._runner.phase, FingersLeft.STOPPED)
+            self._note_fingers(stop, self.state.phase, FingersLeft.STOPPED)
             return
         error = ServoFault(unconfirmed[0], "it did not take the goal to stand still")
-        self._note_fingers(error, self._runner.phase, FingersLeft.UNCONFIRMED)
+        self._note_fingers(error, self.state.phase, FingersLeft.UNCONFIRMED)
         self.fault, self.motion_unconfirmed = error, True
         raise error from stop
 
@@ -223,57 +250,94 @@ class Lifecycle:
         measured = "" if sample is None else f" (the pads measured {sample.grip_n:.1f} N just then)"
         note_fingers(error, f"{_GRIP_LEFT[left]}{measured}")
 
+    def _respond(self, error: BaseException, *, moving: bool) -> FingersLeft:
+        """Write the goals of a fault response; the grip is kept whenever possible.
 
-def fault_response(error: BaseException, runner: LoopRunner, *, moving: bool) -> FingersLeft:
-    """Write the goals of a fault response; the grip is kept whenever possible.
+        ================================== =====================================================
+        fault                              response
+        ================================== =====================================================
+        the bus is lost                    nothing is written: the servos' own watchdog acts
+        position unknown                   the torque goes off
+        force above its cap                the currents are lowered until the force is below it
+        one finger silent or without       both hold their positions: none pushes alone
+        torque
+        any other, moving fingers          they stop, and this is read back; without current where
+                                           their positions are contradicted, or one does not open
+        any other                          the goals are frozen
+        ================================== =====================================================
 
-    ================================== ==========================================================
-    fault                              response
-    ================================== ==========================================================
-    the bus is lost                    nothing is written: the servos' own watchdog acts
-    position unknown                   the torque goes off
-    force above its cap                the currents are lowered until the force is below it
-    one finger silent or without       both hold their positions: none pushes alone
-    torque
-    any other, moving fingers          they stop, and this is read back; without current where
-                                       their positions are contradicted, or one does not open
-    any other                          the goals are frozen
-    ================================== ==========================================================
+        Parameters
+        ----------
+        moving
+            True if the fingers moved without a part in their grip.
+        """
+        servos = self._servos
+        if bus_is_lost(error):
+            return FingersLeft.UNCONFIRMED
+        # Short time-outs: a silent servo must not delay the others.
+        with servos.in_loop():
+            if isinstance(error, FeedbackImplausible):
+                servos.go_limp()
+                return FingersLeft.LIMP
+            # With current a servo follows its own position, which may drift: a finger that counts
+            # as stuck on its way open would close.
+            drifts = isinstance(error, PositionContradicted) or (
+                isinstance(error, FingerBlocked) and error.opens
+            )
+            share = 0.0 if drifts else 1.0
+            unconfirmed = servos.stop_motion(share) if moving else []
+            one_sided = isinstance(error, FingerSilent) or (
+                isinstance(error, ServoFault) and error.torque_lost
+            )
+            with suppress(GripperError):
+                if isinstance(error, ForceAboveCap) or servos.goals.force_is_too_high():
+                    self._lower_force()
+                elif one_sided:
+                    servos.hold_position()
+                elif not moving:
+                    servos.freeze()
+                if servos.heats:
+                    servos.freeze()
+            with suppress(GripperError):
+                servos.disarm_watchdog(but=unconfirmed)
+        if unconfirmed:
+            return FingersLeft.UNCONFIRMED
+        return FingersLeft.ONE_SIDED if one_sided else FingersLeft.STOPPED
 
-    Parameters
-    ----------
-    moving
-        True if the fingers moved without a part in their grip.
-    """
-    servos = runner.servos
-    if bus_is_lost(error):
-        return FingersLeft.UNCONFIRMED
-    # Short time-outs: a silent servo must not delay the others.
-    with servos.in_loop():
-        if isinstance(error, FeedbackImplausible):
-            servos.go_limp()
-            return FingersLeft.LIMP
-        # With current a servo follows its own position, which may drift: a finger that counts as
-        # stuck on its way open would close.
-        drifts = isinstance(error, PositionContradicted) or (
-            isinstance(error, FingerBlocked) and error.opens
-        )
-        share = 0.0 if drifts else 1.0
-        unconfirmed = servos.stop_motion(share) if moving else []
-        one_sided = isinstance(error, FingerSilent) or (
-            isinstance(error, ServoFault) and error.torque_lost
-        )
-        with suppress(GripperError):
-            if isinstance(error, ForceAboveCap) or servos.goals.force_is_too_high():
-                runner.lower_force()
-            elif one_sided:
-                servos.hold_position()
-            elif not moving:
-                servos.freeze()
-            if servos.heats:
-                servos.freeze()
-        with suppress(GripperError):
-            servos.disarm_watchdog(but=unconfirmed)
-    if unconfirmed:
-        return FingersLeft.UNCONFIRMED
-    return FingersLeft.ONE_SIDED if one_sided else FingersLeft.STOPPED
+    def _lower_force(self) -> None:
+        """Lower the currents evenly until the force is below its cap.
+
+        A spring between the fingers would throw them open after one large step: once they open,
+        they hold their positions until the next sample, and at the end. Where friction alone
+        holds the force, they are driven open, as long as the samples follow: no signal alone lets a
+        part go. One pad that shows the force alone may be at fault: then ``over_force_share`` of
+        the currents is left. Raises as `Servos.read`.
+        """
+        servos, settings = self._servos, self._servos.settings
+        most_n, share = most_peak_n(settings), settings.over_force_share
+        unseen_m = _UNSEEN_STEPS * max(opening_steps_m(settings, servos.linkage))
+        goals = [goal.lasting for goal in servos.goals.last]
+        # Goals that were written may brake.
+        asked = [goal.lasting for goal in servos.goals.asked]
+        left, least_n, state = 1.0, inf, servos.read()
+        from_m, opened_s, end_s = inf, -inf, state.t_s + _LONGEST_LOWERING * _LOWERING_S
+        while goals and (newest := servos.goals.newest_force) and state.t_s < end_s:
+            forces_n = servos.goals.newest_forces_n
+            if max(forces_n) < _FOLLOWS_SHARE * least_n:
+                least_n, from_m = max(forces_n), state.aperture_m
+            least = -1.0 if min(forces_n) > most_n else share
+            follows = state.aperture_m - from_m < unseen_m
+            if max(forces_n) <= most_n or left <= least or not follows:
+                break
+            if newest.t_s >= opened_s:
+                left = max(least, left - settings.period_s / _LOWERING_S)
+                servos.goals.write(lowered(goals, servos.goals.last, left, state, settings), state)
+            else:
+                servos.goals.write(standing(asked, state, share), state)
+            self._clock.sleep(settings.period_s)
+            before, state = state, servos.read()
+            if any(map(gt, state.angles_rad, before.angles_rad)):
+                opened_s = state.t_s
+            servos.goals.note_force(self._sensor.latest_force())
+        if opened_s > -inf:
+            servos.goals.write(standing(asked, state, share), state)

@@ -2,18 +2,14 @@
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from math import inf
-from operator import gt
+from dataclasses import dataclass, field
 
 from gripper.clock import Clock
 from gripper.errors import BusCorrupt, BusTimeout, ForceSensorStale, GraspStopped, LimitExceeded
 from gripper.force.timing import LoopStatistics, LoopTimer
-from gripper.mechanics.impact import most_peak_n
-from gripper.mechanics.kinematics import opening_steps_m
 from gripper.servos.bus_loss import BusLossMonitor
-from gripper.servos.goal_limits import ServoGoal, standing
-from gripper.servos.group import Servos, lowered
+from gripper.servos.goal_limits import ServoGoal
+from gripper.servos.group import Servos
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample, ForceSensor
 from gripper.values.state import Cycle, GripperPhase, Observer, ServoFeedback
@@ -22,12 +18,6 @@ _HEALTH_EVERY = 4
 """Periods between two health checks: each takes a transaction of the period. [chosen]"""
 _LONGEST_STEP = 2.0
 """Longest step of control in periods: after a late period nothing catches up. [chosen]"""
-_LOWERING_S, _LONGEST_LOWERING = 0.1, 4.0
-"""Time in s in which the currents of too much force fall to 0. The force has followed after this
-multiple of it at the latest. [chosen]"""
-_FOLLOWS_SHARE, _UNSEEN_STEPS = 0.95, 2.0
-"""Share of the force below which samples have followed fingers that opened, and way in
-steps of the opening after which they must have. [chosen]"""
 YOUNG_S = 0.015
 """Largest age in s of a sample to which the drive may respond at once: force messages are newer,
 frames are older. Braking at a first touch is then useful. [tuned]"""
@@ -68,6 +58,17 @@ class Moment:
 
 
 @dataclass(slots=True, kw_only=True)
+class CommandState:
+    """State of the commands of a gripper: its lifecycle writes it, the loop reads it."""
+
+    phase: GripperPhase = GripperPhase.OFF
+    observer: Observer | None = None
+    """Called once a period of the running command; None without one."""
+    stop_request: threading.Event = field(default_factory=threading.Event)
+    """Set from any thread to stop the running command with GraspStopped."""
+
+
+@dataclass(slots=True, kw_only=True)
 class Running:
     """State of the control step that runs now."""
 
@@ -89,7 +90,7 @@ class LoopRunner:
 
     Parameters
     ----------
-    servos, sensor, settings, clock
+    servos, sensor, settings, clock, command
         Of the gripper.
     """
 
@@ -99,17 +100,14 @@ class LoopRunner:
         sensor: ForceSensor,
         settings: GripperSettings,
         clock: Clock,
+        command: CommandState,
     ) -> None:
         self.servos = servos
         self._sensor = sensor
         self._settings = settings
         self._clock = clock
+        self._command = command
         self._timer = LoopTimer(settings.period_s)
-        self.stop_request = threading.Event()
-        """Set from any thread to stop the running command with GraspStopped."""
-        self.phase = GripperPhase.OFF
-        self.observer: Observer | None = None
-        """Called once a period of the running command; None without one."""
         self._due_s = clock.monotonic()
         self._bus_loss = BusLossMonitor(servos)
         self._cycles = 0
@@ -153,7 +151,7 @@ class LoopRunner:
         Raises
         ------
         GraspStopped
-            When `stop_request` is set.
+            When the command shall stop.
         ForceSensorStale
             When the force is needed and its newest valid sample is too old.
         LimitExceeded
@@ -165,11 +163,11 @@ class LoopRunner:
             deadline_s = self._due_s
         running = self.start_command(step, needs_force=needs_force, now_s=deadline_s)
         while True:
-            if self.stop_request.is_set():
+            if self._command.stop_request.is_set():
                 raise GraspStopped("stopped on request")
             cycle = self.period(running)
-            if cycle is not None and self.observer is not None:
-                self.observer(cycle)
+            if cycle is not None and self._command.observer is not None:
+                self._command.observer(cycle)
             if cycle is not None and running.done:
                 self._due_s = deadline_s + self._settings.period_s
                 return cycle.state
@@ -207,7 +205,7 @@ class LoopRunner:
         with self.servos.in_loop():
             state = self.read()
             if state is None:
-                self._bus_loss.stop_fingers(self.phase)
+                self._bus_loss.stop_fingers(self._command.phase)
         # Pads and CAN are supervised in each period, also without answers of the servos.
         sample = self._sensor.latest_force()
         self.servos.goals.note_force(sample)
@@ -242,51 +240,13 @@ class LoopRunner:
         running.done = action.done
         return Cycle(
             t_s=state.t_s,
-            phase=self.phase,
+            phase=self._command.phase,
             state=state,
             force=sample,
             setpoint_n=action.setpoint_n,
             goal_current_a=self.servos.goal_current_a,
             level=action.level,
         )
-
-    def lower_force(self) -> None:
-        """Lower the currents evenly until the force is below its cap.
-
-        A spring between the fingers would throw them open after one large step: once they open,
-        they hold their positions until the next sample, and at the end. Where friction alone
-        holds the force, they are driven open, as long as the samples follow: no signal alone lets a
-        part go. One pad that shows the force alone may be at fault: then ``over_force_share`` of
-        the currents is left. Raises as `Servos.read`.
-        """
-        servos, settings, most_n = self.servos, self._settings, most_peak_n(self._settings)
-        share = settings.over_force_share
-        unseen_m = _UNSEEN_STEPS * max(opening_steps_m(settings, servos.linkage))
-        goals = [goal.lasting for goal in servos.goals.last]
-        # Goals that were written may brake.
-        asked = [goal.lasting for goal in servos.goals.asked]
-        left, least_n, state = 1.0, inf, servos.read()
-        from_m, opened_s, end_s = inf, -inf, state.t_s + _LONGEST_LOWERING * _LOWERING_S
-        while goals and (newest := servos.goals.newest_force) and state.t_s < end_s:
-            forces_n = servos.goals.newest_forces_n
-            if max(forces_n) < _FOLLOWS_SHARE * least_n:
-                least_n, from_m = max(forces_n), state.aperture_m
-            least = -1.0 if min(forces_n) > most_n else share
-            follows = state.aperture_m - from_m < unseen_m
-            if max(forces_n) <= most_n or left <= least or not follows:
-                break
-            if newest.t_s >= opened_s:
-                left = max(least, left - settings.period_s / _LOWERING_S)
-                servos.goals.write(lowered(goals, servos.goals.last, left, state, settings), state)
-            else:
-                servos.goals.write(standing(asked, state, share), state)
-            self._clock.sleep(settings.period_s)
-            before, state = state, servos.read()
-            if any(map(gt, state.angles_rad, before.angles_rad)):
-                opened_s = state.t_s
-            servos.goals.note_force(self._sensor.latest_force())
-        if opened_s > -inf:
-            servos.goals.write(standing(asked, state, share), state)
 
     def _check_force(self, now_s: float, fresh_s: float, sample: ForceSample | None) -> None:
         if sample is not None:
