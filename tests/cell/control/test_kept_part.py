@@ -200,18 +200,6 @@ def test_noise_of_the_taxels_makes_no_part_another_one() -> None:
     assert (lost.held, lost.same, len(lost.reasons)) == (False, None, 1)
 
 
-def test_a_part_of_another_thickness_is_found(bench: Any) -> None:
-    bench.controller.grip(4.0, Pose())
-    for step in range(1, 9):
-        bench.simulated.devices.world.swell(step * 1e-4)
-        bench.idle(0.05)
-    check = bench.controller.kept_part.verify()
-    assert (check.held, check.same) == (True, False)
-    assert any("mm is allowed" in reason for reason in check.reasons)
-    assert bench.life.state is CellState.COMPLETE
-    assert bench.grip_n > 1.0
-
-
 # -- to a place ------------------------------------------------------------------------------
 
 

@@ -269,12 +269,6 @@ def test_thresholds_are_the_middles_between_neighbouring_bands():
     assert {value: check_level(levels, value) for value in expected} == expected
 
 
-def test_nothing_is_told_in_a_closed_window():
-    levels = find_thresholds([[1.0, 4.0], [3.0, 6.0]])
-    assert levels.window == pytest.approx([-1.0])
-    assert [check_level(levels, value) for value in (2.0, 3.5, 5.0)] == [0, None, 1]
-
-
 def test_an_object_without_a_level_is_never_named():
     levels = find_thresholds([[np.nan], [1.0, 2.0], []])
     assert levels.order.tolist() == [1]

@@ -70,13 +70,6 @@ def test_touch_is_the_first_frame_of_the_lasting_contact(pads, train):
     assert find_ramp(brushed, learn_rest(train)).start == pytest.approx(9, abs=2)
 
 
-def test_no_contact_is_not_touched(rest, train):
-    empty = dataclasses.replace(train[0], counts=np.zeros_like(train[0].counts))
-    ramp = find_ramp(empty, rest)
-    assert not ramp.touched
-    assert ramp.start == empty.n_frames - 1
-
-
 def test_noise_alone_is_not_touched():
     pads = make_pads(adc_max=255)
     grasps = make_grasps(3, seed=4, pads=pads, noise_counts=20.0)
