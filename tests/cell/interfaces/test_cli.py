@@ -514,7 +514,7 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
     for name, text in texts.items():
         paths[name] = folder / f"{name}.yaml"
         paths[name].write_text(text)
-    given = {"dataset": taught.result.dataset, "model": taught.result.model}
+    given = {name: getattr(taught.result, name) for name in ("dataset", "model", "recording")}
     given["level"] = folder / "level.npz"
     save_model(given["level"], train(taught.grasps, "level_check"), taught.grasps[0].pads)
     return paths | given | {"real": EXAMPLES / "paper-gripper.yaml"}
@@ -566,6 +566,8 @@ def test_wrong_use_is_two_and_a_failing_job_one(fail, files, code, command, comp
         ("trimesh: mesh", "teach x -o {made} --shape mesh:file={none}"),
         ("trimesh: mesh", "config check {meshed}"),
         ("fastapi: serve", "serve -c {config} --http 0"),
+        ("matplotlib: report", "recording report {recording}"),
+        ("jinja2: report", "recording report {recording}"),
     ],
 )
 def test_a_missing_extra_is_named_with_the_command_that_adds_it(

@@ -4,7 +4,6 @@ import base64
 import json
 import re
 import shutil
-import sys
 from collections import defaultdict
 from copy import copy
 from dataclasses import asdict, replace
@@ -15,7 +14,7 @@ import numpy as np
 import pytest
 
 from cell.config.file import recorded_config
-from cell.errors import MissingExtraError, RecordingError, ReportError
+from cell.errors import RecordingError, ReportError
 from cell.recording.reader import Recording, read_recording
 from cell.recording.recorder import Recorder
 from cell.report import recorded
@@ -242,17 +241,6 @@ def test_health_marks_what_is_wrong() -> None:
         "worst lateness": "bad", "reading the servos": "plain", "oldest force used": "plain",
     }  # fmt: skip
     assert loop(lateness=Distribution(max_s=0.004))["worst lateness"] == "warn"
-
-
-@pytest.mark.parametrize("missing", ["jinja2", "matplotlib"])
-def test_missing_extra_is_said_with_the_remedy(missing, recording, monkeypatch) -> None:
-    for name in [name for name in sys.modules if name.split(".")[0] == missing]:
-        monkeypatch.setitem(sys.modules, name, None)
-    monkeypatch.setitem(sys.modules, missing, None)
-    with pytest.raises(
-        MissingExtraError, match=rf"needs {missing}; install this project with its extra `report`"
-    ):
-        render_report(recorded_report(recording))
 
 
 def test_unwritable_place_is_a_clear_error(tmp_path) -> None:
