@@ -404,21 +404,6 @@ def test_identifying_ends_as_soon_as_it_is_sure_or_with_its_plan(record: GraspRe
     assert answer.decision.kind is not DecisionKind.CONTINUE
 
 
-def test_shape_and_size_are_fused_over_the_grasps(record: GraspRecord) -> None:
-    told: list[Any] = []
-    answer = identified(
-        record,
-        read_shape=shape_reader(small_config()),
-        on_grasp=lambda *parts: told.append(parts[3]),
-    )
-    assert tuple(told) == answer.shapes
-    assert answer.shape is not None
-    assert len(answer.shapes) == answer.shape.n_grasps == 2
-    assert {one.kind for one in told} == {answer.shape.kind}
-    assert answer.shape.kind in ("sphere", "oval")  # one ball in forty is felt as an oval
-    assert answer.shape.low_m < 9.5e-3 < answer.shape.high_m
-
-
 def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(record: GraspRecord) -> None:
     read = shape_reader(small_config())
     assert read is not None

@@ -223,14 +223,12 @@ def test_a_burst_that_does_not_fit_the_window_is_cut_short_and_told(line) -> Non
 @pytest.mark.parametrize(
     ("index", "sub", "value", "size", "code"),
     [
-        (0x1017, 1, 1, 2, 0x0609_0011),
         (0x1017, 0, 1, 4, 0x0607_0010),
         (0x1005, 0, 0, 4, 0x0609_0030),
         (0x1019, 0, 241, 1, 0x0609_0031),
         (0x1800, 1, 0x186, 4, 0x0609_0030),
         (0x1800, 1, 0x8000_0600, 4, 0x0609_0030),
         (0x1800, 2, 1, 1, 0x0609_0030),
-        (0x1A00, 0, 1, 1, 0x0601_0002),
     ],
 )
 def test_writes_that_are_not_allowed_are_refused(index, sub, value, size, code) -> None:

@@ -326,7 +326,6 @@ def test_objects_get_names_and_lie_beside_their_pose(requests, devices) -> None:
 @pytest.mark.parametrize(
     ("request_", "says"),
     [
-        ({}, "needs one of place"),
         ({"dance": True}, "needs one of place"),
         ({"place": 3}, "a shape is a name or text, got 3"),
         ({"place": "teapot"}, "no object 'teapot'; there are"),
