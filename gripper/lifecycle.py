@@ -259,8 +259,8 @@ class Lifecycle:
         the bus is lost                    nothing is written: the servos' own watchdog acts
         position unknown                   the torque goes off
         force above its cap                the currents are lowered until the force is below it
-        one finger silent or without       both hold their positions: none pushes alone
-        torque
+        one finger silent or without       both hold their positions: none pushes alone; a motion
+        torque                             without a part was stopped before, without current
         any other, moving fingers          they stop, and this is read back; without current where
                                            their positions are contradicted, or one does not open
         any other                          the goals are frozen

@@ -21,8 +21,8 @@ class BusLossMonitor:
     """Counter of the periods without feedback, in a row and among the last ones.
 
     A first lost answer is tolerated. In the second period in a row the stop goals are written;
-    after ``bus_loss_s`` the bus counts as lost. Single lost periods are allowed up to a share of
-    ``feedback_loss_max_share``.
+    fingers on their way without a part get no current. After ``bus_loss_s`` the bus counts as lost.
+    Single lost periods are allowed up to a share of ``feedback_loss_max_share``.
 
     Parameters
     ----------
@@ -111,6 +111,8 @@ class BusLossMonitor:
         if self._in_row == _FREEZE_AT:
             with suppress(GripperError):
                 if phase.moving:
-                    self._servos.hold_position()
+                    # Nobody reads the positions: with current an encoder that errs drives its
+                    # finger. A part that is let go still needs the current.
+                    self._servos.hold_position(float(phase is GripperPhase.RELEASING))
                 else:
                     self._servos.freeze(goes_on=True)

@@ -161,6 +161,17 @@ def test_fingers_on_their_way_stop_where_they_are(make_cell, command, how, error
         assert cell.mechanics.aperture_m == pytest.approx(0.04, abs=1e-3)
 
 
+def test_a_finger_next_to_a_silent_servo_follows_no_error_of_its_encoder(make_started) -> None:
+    cell = make_started(aperture_m=0.03)
+    observe = cell.once(lambda: cell.device.faults.silent.add(1), in_s=0.2)
+    with pytest.raises(FingerSilent):
+        cell.gripper.grasp(RAMP, observe)
+    stood_m = cell.mechanics.finger_position_m[1]
+    cell.motors[1].encoder_offset_rad = 0.3
+    cell.clock.sleep(0.5)
+    assert cell.mechanics.finger_position_m[1] == pytest.approx(stood_m, abs=5e-4)
+
+
 def test_a_stop_at_the_begin_of_a_release_lets_nothing_fall(cell) -> None:
     cell.hold_part(RAMP)
     with pytest.raises(GraspStopped):
