@@ -87,6 +87,7 @@ SEGMENT = RampSegment(duration_s=1.0, start_n=0.0, end_n=1.0)
         (lambda: ForceRamp(segments=()), "at least one"),
         (lambda: ForceRamp(segments=(SEGMENT, replace(SEGMENT, start_n=2.0))), "ends at"),
         (lambda: ForceRamp(segments=(replace(SEGMENT, duration_s=0.0),)), "above 0"),
+        (lambda: ForceRamp(segments=(replace(SEGMENT, start_n=-1.0),)), "start_n"),
     ],
 )
 def test_ramps_that_jump_or_turn_round_cannot_exist(make, says) -> None:

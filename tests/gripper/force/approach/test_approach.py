@@ -116,6 +116,34 @@ def test_a_standstill_at_the_current_limit_is_a_contact_with_one_pad_alone(one_p
     assert approach.currents_a[0] <= closing_a * 1.6 + 1e-9
 
 
+def test_the_cap_is_named_where_it_limits_the_current_of_fingers_that_stand() -> None:
+    advices = []
+    for cap_n in (SETTINGS.force_max_n, 1.5):
+        settings = measured_drives(replace(SETTINGS, force_max_n=cap_n))
+        approach = Approach(settings, LINKAGE, state(0.0, 0.01, 0.0))
+        for i in range(40):
+            step(approach, DT_S * i, DT_S, state(DT_S * i, 0.01, 0.0), None)
+        advices.append(approach.friction_advice)
+    assert not advices[0]
+    assert "servo 1 does not overcome its friction" in advices[1]
+    assert "gripper.force_max_n = 1.5 N" in advices[1]
+
+
+@pytest.mark.parametrize("forces_n", [(0.25, 0.0), (0.0, 0.25)])
+def test_a_touch_of_either_pad_brakes_a_servo_that_drives_both_while_it_lasts(forces_n) -> None:
+    linkage = replace(LINKAGE, n_servos=1)
+    settings = measured_drives(replace(SETTINGS, servos=SETTINGS.servos[:1]))
+    begin = state(0.0, 0.02, 0.0)
+    approach = Approach(settings, linkage, replace(begin, servos=begin.servos[:1]))
+    for i in range(60):
+        at = state(DT_S * i, 0.02, -0.012)
+        at = replace(at, servos=at.servos[:1])
+        touches = i >= 40
+        young = replace(scan(DT_S * i, 0.0), force_n=forces_n if touches else (0.0, 0.0))
+        _, (goal_rad,) = step(approach, DT_S * i, DT_S, at, young)
+        assert (goal_rad == at.servos[0].angle_rad) is touches
+
+
 def test_an_invalid_sample_shows_no_contact(approach) -> None:
     for i in range(5):
         at = state(0.02 * i, 0.02, -0.02)

@@ -12,8 +12,10 @@ from gripper.errors import (
     VerificationFailed,
     fingers_left,
 )
-from gripper.force.approach.mechanics_proof import POSITION_ITEM
+from gripper.force.approach.mechanics_proof import POSITION_ITEM, standing_rows
 from gripper.force.ramp import ForceRamp
+from gripper.mechanics.kinematics import ParallelLinkage
+from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from tests.marks import LONG
@@ -94,6 +96,26 @@ def test_a_wrong_direction_is_refused_where_its_finger_is_beyond_the_middle(
     assert cell.torques == [0, 0]
     assert f"servo {index + 1} present_position" in str(refused.value)
     assert f"servo {2 - index} present_position" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("halves_mm", "right"),
+    [
+        ((-4.5, 9.0), (True, True)),
+        ((-5.5, 9.0), (False, True)),
+        # Nearer than pads can be that meet: then no finger may be beyond the middle.
+        ((-5.5, 1.0), (False, True)),
+        ((-4.5, -0.5), (False, False)),
+    ],
+)
+def test_a_finger_may_stand_beyond_the_middle_where_the_other_makes_room(halves_mm, right) -> None:
+    settings, linkage = GripperSettings(), ParallelLinkage(link_m=0.06)
+    positions_raw = []
+    for servo, half_mm in zip(settings.servos, halves_mm, strict=True):
+        angle_rad = linkage.angles_rad(2e-3 * half_mm)[0]
+        pulses = servo.direction * angle_rad / servo.servo_model.rad_per_pulse
+        positions_raw.append(servo.zero_raw + round(pulses))
+    assert tuple(row.ok for row in standing_rows(settings, linkage, positions_raw)) == right
 
 
 @pytest.mark.parametrize(("linkage", "aperture_m"), [("parallel", 0.0), ("rack", 0.002)])
