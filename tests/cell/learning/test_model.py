@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from cell.errors import CellError, ModelError
+from cell.errors import CellError, ModelError, RequestRefused
 from cell.learning.model import Trained, load_model, save_model
 from cell.learning.parallel import workers
 from cell.learning.taught_model import TaughtModel
@@ -230,6 +230,8 @@ def test_what_leaves_too_few_grasps_changes_nothing(model) -> None:
         model.forget("box", last=True)
     assert [grasp for grasp in model.training_set if grasp.label == "box"] == boxes[:3]
     assert model.labels == ("ball", "box")
+    with pytest.raises(RequestRefused, match="'nut' is not taught; ball, box"):
+        model.forget("nut")
 
 
 @dataclass
