@@ -38,7 +38,8 @@ from gripper.force.ramp import ForceRamp, check_ramp, largest_ramp_n
 from gripper.force.timing import LoopStatistics
 from gripper.lifecycle import Lifecycle, bus_is_lost
 from gripper.mechanics.identification import fit_load
-from gripper.mechanics.kinematics import Linkage, ParallelLinkage, transmissions
+from gripper.mechanics.kinematics import Linkage, ParallelLinkage
+from gripper.mechanics.transmission import Mechanics
 from gripper.servos.goal_limits import OPENING_MARGIN_RAD
 from gripper.servos.group import Servos
 from gripper.servos.watchdog_proof import prove_watchdog
@@ -78,8 +79,8 @@ class Gripper:
     ----------
     bus
         The servos; the caller opens and closes it.
-    linkage
-        Mechanics; its number of servos is that of the settings.
+    mechanics
+        Settings, linkage and drives.
     force_sensor
         Read once every period of the loop.
     """
@@ -87,30 +88,25 @@ class Gripper:
     def __init__(
         self,
         bus: ServoBus,
-        linkage: Linkage,
-        settings: GripperSettings,
+        mechanics: Mechanics,
         *,
         clock: Clock,
         force_sensor: ForceSensor,
     ) -> None:
-        if linkage.n_servos != len(settings.servos):
-            raise LimitExceeded(
-                f"the linkage is driven by {linkage.n_servos} servos, the settings name "
-                f"{len(settings.servos)}"
-            )
         self.bus = bus
         """The servos' line."""
-        self._linkage = linkage
-        self._clock = clock
-        self.settings = settings
+        self.mechanics = mechanics
+        """Settings, linkage, and what the motions have measured of the drives."""
+        self._linkage, self._clock = mechanics.linkage, clock
+        self.settings = settings = mechanics.settings
         """Limits and tuning."""
         self._ids = [servo.servo_id for servo in settings.servos]
-        self._servos = servos = Servos(bus, linkage, settings, clock)
+        self._servos = servos = Servos(bus, mechanics, clock)
         self._sensor = force_sensor
         self._life = life = Lifecycle(servos, force_sensor, clock)
         self._runner = runner = LoopRunner(servos, force_sensor, settings, clock, life.state)
-        self._free = FreeMotion(settings)
-        self._grasping = GraspRun(runner, linkage, settings, life.set_phase, self._free)
+        self._free = FreeMotion(mechanics)
+        self._grasping = GraspRun(runner, mechanics, life.set_phase, self._free)
         self._link_checked = self._watchdog_proven = False
         self._carried: Running | None = None
         self._one: Gripper | None = None
@@ -292,11 +288,11 @@ class Gripper:
     @property
     def largest_ramp_n(self) -> float:
         """Largest force in N of a ramp: by its limit, and by the current as measured."""
-        return largest_ramp_n(self.settings, self._linkage)
+        return largest_ramp_n(self.mechanics)
 
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Raise LimitExceeded when `grasp` would refuse a ramp; does not use the servos."""
-        check_ramp(ramp, self.settings, self._linkage)
+        check_ramp(ramp, self.mechanics)
 
     def grasp(self, ramp: ForceRamp, observer: Observer | None = None) -> GraspOutcome:
         """Close until both pads touch, follow the ramp to its end, return while holding.
@@ -413,12 +409,12 @@ class Gripper:
         free, servos = self._free, self._servos
         notes, free.notes = free.notes, []
         warnings, servos.notes = servos.notes, []
-        return DriveReport(dict(self.settings.drives.newest), (*notes, *warnings))
+        return DriveReport(dict(self.mechanics.drives.newest), (*notes, *warnings))
 
     def use_drives(self, drives: Mapping[int, DriveCharacteristic]) -> None:
         """Use saved drive characteristics, by the servos' IDs."""
         for servo_id, drive in drives.items():
-            self.settings.drives.put(servo_id, drive)
+            self.mechanics.drives.put(servo_id, drive)
         self._free.forget()
 
     def measure_load(self, observer: Observer | None = None) -> tuple[TimeSpan, ...]:
@@ -437,13 +433,13 @@ class Gripper:
         ------
         As `Gripper.hold`.
         """
-        settings, linkage = self.settings, self._linkage
+        settings, mechanics = self.settings, self.mechanics
         control = self._held_control("hold")
         with self._life.command("hold", observer):
             self._make_ready()
             low_n = _LOW_CONTACTS * settings.contact_force_n
             state = self._servos.read_patiently()
-            paths = transmissions(settings, linkage, state.angles_rad)
+            paths = mechanics.transmissions(state.angles_rad)
             most_a = _CURRENT_SHARE * settings.current_max_a
             bearable_n = min(path.force_band_n(most_a)[0] for path in paths)
             high_n = min(_HIGH_SHARE * control.grip.setpoint_n, bearable_n)
@@ -452,15 +448,15 @@ class Gripper:
             spans = []
             try:
                 for finger, servo in enumerate(settings.servos):
-                    trial = LoadTrial(control, linkage, finger, (low_n, high_n))
+                    trial = LoadTrial(control, finger, (low_n, high_n))
                     since_s = state.t_s
                     for rises in (False, True):
                         trial.start(rises=rises)
                         state = self._runner.run(trial.step)
                     spans.append(TimeSpan(since_s, state.t_s))
-                    before = settings.drives.of(servo.servo_id, servo.drive)
+                    before = mechanics.drives.of(servo)
                     drive = fit_load(trial.rising, trial.falling, before)
-                    settings.drives.put(servo.servo_id, drive)
+                    mechanics.drives.put(servo.servo_id, drive)
             finally:
                 control.begin_again(state)
             self._free.compare()
@@ -483,7 +479,7 @@ class Gripper:
                     reach_m = sum(map(linkage.opening_per_rad_m, state.angles_rad))
                     speed_m_s = speed_rad_s * reach_m
                     end_m = max(near_m, wide_m - _FREE_S * speed_m_s) if closes else wide_m
-                    move = MoveTo(settings, linkage, state, aperture_m=end_m, speed_m_s=speed_m_s)
+                    move = MoveTo(self.mechanics, state, aperture_m=end_m, speed_m_s=speed_m_s)
                     self._run_free(move, state)
 
     def release(self, observer: Observer | None = None) -> ReleaseReport:
@@ -674,7 +670,7 @@ class Gripper:
     def _standing_rows(self) -> tuple[VerificationRow, ...]:
         """Read the positions of the fingers, and compare them with the settings."""
         positions_raw = [self.bus.read(servo_id, PRESENT_POSITION) for servo_id in self._ids]
-        return standing_rows(self.settings, self._linkage, positions_raw)
+        return standing_rows(self.mechanics, positions_raw)
 
     def _make_ready(self, *, releasing: bool = False) -> bool:
         """Prepare the servos for a command; return whether all of them were without torque."""
@@ -682,7 +678,7 @@ class Gripper:
         if not self._servos.goals.last and not any(self._servos.torques()):
             limp = self._servos.read_patiently()
             positions_raw = [servo.position_raw for servo in limp.servos]
-            _check_standing(standing_rows(self.settings, self._linkage, positions_raw))
+            _check_standing(standing_rows(self.mechanics, positions_raw))
             self._grasping.start_proving()
         self._servos.make_ready(
             part_possible=self._life.part_possible, releasing=releasing, limp=limp
@@ -695,7 +691,7 @@ class Gripper:
         """Move empty fingers to an opening in m; ``first`` where their torque has just come on."""
         kind = FirstMotion if first else MoveTo
         state = self._servos.read_patiently()
-        move = kind(self.settings, self._linkage, state, aperture_m=aperture_m, only_open=only_open)
+        move = kind(self.mechanics, state, aperture_m=aperture_m, only_open=only_open)
         return self._run_free(move, state)
 
     def _run_free(self, move: FirstMotion | MoveTo, state: ServoFeedback) -> ServoFeedback:
@@ -710,10 +706,10 @@ class Gripper:
     def _open_one(self, left: ServoCondition, observer: Observer | None) -> ReleaseReport:
         """Open one finger alone; do not touch the servo of the other one."""
         (servo,) = (one for one in self.settings.servos if one.servo_id != left.servo_id)
+        settings, linkage = replace(self.settings, servos=(servo,)), self._linkage.of_one_finger()
         self._one = one = Gripper(
             self.bus,
-            self._linkage.of_one_finger(),
-            replace(self.settings, servos=(servo,)),
+            Mechanics(settings, linkage, self.mechanics.drives),
             clock=self._clock,
             force_sensor=self._sensor,
         )
@@ -820,7 +816,8 @@ def open_gripper(
             name=f"the servo line ({port})",
             ram_shifts={one.servo_id: one.servo_model.ram_shift for one in settings.servos},
         )
-        return Gripper(bus, linkage, settings, clock=clock, force_sensor=force_sensor)
+        mechanics = Mechanics(settings, linkage)
+        return Gripper(bus, mechanics, clock=clock, force_sensor=force_sensor)
     except BaseException:
         stream.close()
         raise

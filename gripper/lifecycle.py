@@ -25,7 +25,6 @@ from gripper.errors import (
 )
 from gripper.force.loop import CommandState
 from gripper.mechanics.impact import most_peak_n
-from gripper.mechanics.kinematics import opening_steps_m
 from gripper.servos.goal_limits import standing
 from gripper.servos.group import Servos, lowered
 from gripper.values.force_sensor import ForceSensor
@@ -315,7 +314,7 @@ class Lifecycle:
         """
         servos, settings = self._servos, self._servos.settings
         most_n, share = most_peak_n(settings), settings.over_force_share
-        unseen_m = _UNSEEN_STEPS * max(opening_steps_m(settings, servos.linkage))
+        unseen_m = _UNSEEN_STEPS * max(servos.mechanics.opening_steps_m())
         goals = [goal.lasting for goal in servos.goals.last]
         # Goals that were written may brake.
         asked = [goal.lasting for goal in servos.goals.asked]

@@ -9,7 +9,7 @@ from math import inf, isfinite
 from typing import Any, ClassVar
 
 from gripper.dynamixel.control_table import WATCHDOG_UNIT_S
-from gripper.dynamixel.drive import DriveCharacteristic, Drives
+from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.latency import LEAST_RATE_HZ
 from gripper.dynamixel.models import ServoModel, require_current_control
 from gripper.errors import LimitExceeded
@@ -184,8 +184,6 @@ class GripperSettings:
     settle_tolerance_n: float = setting(0.3, low=0.0, high=5.0)
     settle_tolerance_share: float = setting(0.07, low=0.0, high=0.5)
     """Tolerance of a reached force in N, or as a share of the force if that is more."""
-    drives: Drives = field(default_factory=Drives, repr=False, compare=False)
-    """Newest drive characteristic of each servo; settings made of these share it."""
 
     def __post_init__(self) -> None:
         ids = [servo.servo_id for servo in self.servos]

@@ -10,8 +10,8 @@ from cell.control.controller import CellController
 from cell.control.identification import Identification
 from cell.hand.interface import HandStatistics
 from gripper.dynamixel.bus import BusStatistics
-from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.force.timing import Distribution, LoopStatistics
+from gripper.mechanics.transmission import Drives
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.state import Cycle, GripperPhase, ServoFeedback, ServoState
@@ -119,14 +119,12 @@ def make_shape(
 
 def measured_drives(
     settings: GripperSettings, friction_sd: float = 0.1, load_sd: float = 0.02
-) -> GripperSettings:
-    """Give settings the figures of the catalogue as if they were measured; return them."""
-    for servo in settings.servos:
-        drive = DriveCharacteristic.catalogue(servo.servo_model)
-        settings.drives.put(
-            servo.servo_id, replace(drive, friction_sd=friction_sd, load_sd=load_sd, measured_s=1.0)
-        )
-    return settings
+) -> Drives:
+    """Return drives with the figures of the catalogue as if they were measured."""
+    sds = {"friction_sd": friction_sd, "load_sd": load_sd}
+    return Drives(
+        {servo.servo_id: replace(servo.drive, **sds, measured_s=1.0) for servo in settings.servos}
+    )
 
 
 def make_pads(

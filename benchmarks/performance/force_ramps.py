@@ -32,7 +32,8 @@ from gripper.force.control.law import Period
 from gripper.force.estimates.grip import Grip
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper
-from gripper.mechanics.kinematics import ParallelLinkage, mean_yielding_n
+from gripper.mechanics.kinematics import ParallelLinkage
+from gripper.mechanics.transmission import Mechanics, mean_yielding_n
 from gripper.settings import HARD_FORCE_CAP_N, GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
@@ -227,8 +228,9 @@ class Rig:
         own = tuple(ServoSettings(servo_id=i, direction=d) for i, d in enumerate(directions, 1))
         self.gripper = Gripper(
             ServoBus(MemoryServoStream(self._device, clock), baudrate=1_000_000, clock=clock),
-            ParallelLinkage(link_m=0.06),
-            GripperSettings(servos=own, **(usual | settings)),
+            Mechanics(
+                GripperSettings(servos=own, **(usual | settings)), ParallelLinkage(link_m=0.06)
+            ),
             clock=clock,
             force_sensor=self._sensor,
         )

@@ -24,6 +24,7 @@ from gripper.dynamixel.control_table import PRESENT_BLOCK, TORQUE_ENABLE
 from gripper.dynamixel.models import MODELS, ServoModel
 from gripper.errors import GripperError
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
+from gripper.mechanics.transmission import Mechanics
 from gripper.servos.goal_limits import ServoGoal, closing_margin_rad
 from gripper.servos.group import Servos
 from gripper.settings import GripperSettings
@@ -420,15 +421,15 @@ class _Hands:
         linkage = linkage_of(config)
         settings = gripper_settings(config, overruns_max=1)
         # The largest plausible friction.
-        drives = [settings.drives.of(one.servo_id, one.drive) for one in settings.servos]
-        cap_a = min(settings.current_max_a, *(drive.most_breakaway_a for drive in drives))
+        frictions_a = (servo.drive.most_breakaway_a for servo in settings.servos)
+        cap_a = min(settings.current_max_a, *frictions_a)
         settings = replace(
             settings,
             current_max_a=cap_a,
             aperture_open_m=widest_m,
             approach_force_n=_FIRST_FORCE_N,
         )
-        group = Servos(self._bus, linkage, settings, self._bench.clock)
+        group = Servos(self._bus, Mechanics(settings, linkage), self._bench.clock)
 
         def opening_m() -> float:
             return linkage.aperture_m(group.read_patiently().angles_rad)

@@ -124,7 +124,7 @@ def _motions(config: CellConfig, most_n: float) -> list[ProposedChange]:
         ("open, empty, at the least current that moves them", "where they stand", opened, limp)
     ]
     if _proves_watchdog(config):
-        travel_mm = 1e3 * proof_travel_m(settings, config.linkage, settings.aperture_open_m)
+        travel_mm = 1e3 * proof_travel_m(config.mechanics, settings.aperture_open_m)
         after = f"at most {travel_mm:.1f} mm less, then open again"
         motions.append(("close until their bus watchdog stops them", opened, after, limp))
     after = f"{FIRST_FORCE_N:g} N, then {most_n:g} N; never above {gripper.force_max_n:g} N"

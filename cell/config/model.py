@@ -24,7 +24,8 @@ from gripper.dynamixel.latency import largest_rate_hz
 from gripper.errors import LimitExceeded
 from gripper.force.ramp import check_ramp, heat_note, largest_ramp_n
 from gripper.mechanics.impact import check_approach
-from gripper.mechanics.kinematics import Linkage, end_transmissions
+from gripper.mechanics.kinematics import Linkage
+from gripper.mechanics.transmission import Mechanics
 from gripper.settings import GripperSettings
 from recognition.recognizers import DEFAULT_TRAINER
 from tactile.errors import LayoutError
@@ -192,11 +193,10 @@ class CellConfig(Section):
             with raised_as(ValueError, LimitExceeded, where=where):
                 self.linkage.angles_rad(1e-3 * getattr(self.gripper, name))
         with raised_as(ValueError, LimitExceeded, where="gripper"):
-            speed_m_s = check_approach(self.gripper_settings, self.linkage)
+            speed_m_s = check_approach(self.mechanics)
         key = "force_n" if most_n in self.sequence.forces_n else "carry_force_n"
         with raised_as(ValueError, LimitExceeded, where=f"gripper and sequence.{key}"):
-            ramp = self.sequence.ramp.to(most_n)
-            check_ramp(ramp, self.gripper_settings, self.linkage)
+            check_ramp(self.sequence.ramp.to(most_n), self.mechanics)
         gripper, tactile = self.gripper, self.tactile
         most_hz = largest_rate_hz(gripper.baud_rate, len(gripper.servos))
         if gripper.loop_rate_hz > most_hz:
@@ -312,18 +312,22 @@ class CellConfig(Section):
     @property
     def largest_ramp_n(self) -> float:
         """Largest force of a ramp in N; raises gripper.errors.LimitExceeded."""
-        return largest_ramp_n(self.gripper_settings, self.linkage)
+        return largest_ramp_n(self.mechanics)
 
     @property
     def friction_n(self) -> float:
         """Largest friction of a servo on the way of the fingers, as grip force in N."""
-        ends = end_transmissions(self.gripper_settings, self.linkage)
-        return max(path.friction_n for path in ends)
+        return max(path.friction_n for path in self.mechanics.end_transmissions())
 
     @property
     def linkage(self) -> Linkage:
         """Mechanics between servos and fingers."""
         return linkage_of(self.gripper)
+
+    @property
+    def mechanics(self) -> Mechanics:
+        """Linkage, settings and drives before a measurement; raises as `gripper_settings`."""
+        return Mechanics(self.gripper_settings, self.linkage)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -338,10 +342,10 @@ class CellConfig(Section):
                 "longer links, a larger pinion or servos with less friction",
             )
         most_n = max(self.sequence.forces_n[1], self.sequence.carry_force_n)
-        if hot := heat_note(most_n, self.gripper_settings, self.linkage):
+        if hot := heat_note(most_n, self.mechanics):
             notes += (hot,)
         asked_mm_s = self.gripper.approach_speed_mm_s
-        speed_mm_s = 1e3 * check_approach(self.gripper_settings, self.linkage)
+        speed_mm_s = 1e3 * check_approach(self.mechanics)
         if speed_mm_s < asked_mm_s:
             notes += (
                 f"the fingers approach with as little as {speed_mm_s:.1f} mm/s, not with "

@@ -23,7 +23,6 @@ from cell.hand.interface import Hand, OnPeriod
 from gripper.dynamixel.drive import DriveCharacteristic, DriveReport
 from gripper.errors import PartBetweenFingers
 from gripper.force.ramp import ForceRamp
-from gripper.mechanics.kinematics import opening_steps_m
 from gripper.settings import ServoSettings
 from gripper.values.outcome import GraspOutcome, GraspResult
 from gripper.values.servo_checks import VerificationReport
@@ -534,7 +533,7 @@ class Zeroing:
         return measure_zero(
             collector.grasp(),
             self.hand.layout.gripping_pads,
-            step_m=sum(opening_steps_m(self.config.gripper_settings, self.config.linkage)),
+            step_m=sum(self.config.mechanics.opening_steps_m()),
             alone=collector.during(alone),
         )
 

@@ -226,8 +226,7 @@ class HandProcess:
         self._config = config
         self.layout = layout_from_config(config.tactile)
         self.period_s = 1.0 / config.gripper.loop_rate_hz
-        self._settings = config.gripper_settings
-        self._linkage = config.linkage
+        self._mechanics = config.mechanics
         self._silence_s = _SILENCE_S
         self._answer_s = 2.0 * _SILENCE_S + 4.0 * config.tactile.startup_timeout_s
         self._number = 0
@@ -295,7 +294,7 @@ class HandProcess:
     def _know(self, drives: Mapping[int, DriveCharacteristic]) -> None:
         """Check ramps with the same values as the process."""
         for servo_id, drive in drives.items():
-            self._settings.drives.put(servo_id, drive)
+            self._mechanics.drives.put(servo_id, drive)
 
     def stop_sensor(self) -> None:
         """End the tactile link; without the process it has ended already."""
@@ -305,11 +304,11 @@ class HandProcess:
     @property
     def largest_ramp_n(self) -> float:
         """Largest force in N of a ramp; see `Hand`."""
-        return largest_ramp_n(self._settings, self._linkage)
+        return largest_ramp_n(self._mechanics)
 
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Refuse a ramp beyond the limits; see `Hand`."""
-        check_ramp(ramp, self._settings, self._linkage)
+        check_ramp(ramp, self._mechanics)
 
     def end_ramp(self) -> None:
         """End the running ramp at its present force; see `Hand`."""

@@ -161,33 +161,6 @@ class DriveCharacteristic:
         return max(self.breakaway_a, self.friction_a(speed_rad_s))
 
 
-class Drives:
-    """The newest drive characteristic of each servo, by its ID.
-
-    All conversions between current and force use it, with its uncertainty.
-    """
-
-    def __init__(self, newest: Mapping[int, DriveCharacteristic] | None = None) -> None:
-        self.newest = dict(newest or {})
-        """Those that were measured or given."""
-        self.cache: dict[str, Any] = {}
-        """Values of these drives at the last angles, each with what it was computed of."""
-        self.version = 0
-        """Count of the changes: older values do not hold."""
-        self.stiction = 1.5
-        """Friction at rest over that in motion, as the pushes of the force law have shown it. At
-        first that of an XM430, 1.3 to 1.8. [log]"""
-
-    def of(self, servo_id: int, unmeasured: DriveCharacteristic) -> DriveCharacteristic:
-        """Return the drive characteristic of a servo; if it was never measured, ``unmeasured``."""
-        return self.newest.get(servo_id, unmeasured)
-
-    def put(self, servo_id: int, drive: DriveCharacteristic) -> None:
-        """Replace that of a servo."""
-        self.newest[servo_id] = drive
-        self.version += 1
-
-
 class DriveReport(NamedTuple):
     """Measured drive characteristics of a gripper's servos."""
 

@@ -9,7 +9,7 @@ from gripper.force.approach.approach import Approach, ApproachEvent, ContactRest
 from gripper.force.approach.mechanics_proof import (
     ZERO_RANGE_M,
     closes_farther,
-    meeting_settings,
+    meeting,
     not_met,
 )
 from gripper.force.control.grip_control import GripControl
@@ -19,7 +19,7 @@ from gripper.force.ramp import ForceRamp
 from gripper.force.supervision.empty_grip import EmptyGrip
 from gripper.force.supervision.part_watch import RUN_STEPS, STEADY_S
 from gripper.force.supervision.slip import LevelSlip
-from gripper.mechanics.kinematics import Linkage
+from gripper.mechanics.transmission import Mechanics
 from gripper.servos.goal_limits import standing
 from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspOutcome, GraspResult
@@ -40,7 +40,7 @@ class GraspRun:
 
     Parameters
     ----------
-    runner, linkage, settings
+    runner, mechanics
         Of the gripper.
     set_phase
         Gets each new phase of a grasp.
@@ -51,16 +51,14 @@ class GraspRun:
     def __init__(
         self,
         runner: LoopRunner,
-        linkage: Linkage,
-        settings: GripperSettings,
+        mechanics: Mechanics,
         set_phase: Callable[[GripperPhase], None],
         free: FreeMotion,
     ) -> None:
         self._runner = runner
         self._set_phase = set_phase
         self._free = free
-        self._linkage = linkage
-        self._settings = settings
+        self._mechanics, self._settings = mechanics, mechanics.settings
         self._end = threading.Event()
         self._ramp_step: ContactStep | None = None
         self.start_proving()
@@ -96,7 +94,7 @@ class GraspRun:
         """Approach, then follow the ramp to its end, or until it is ended on request."""
         self.forget()
         self._end.clear()
-        reached = self._approach(self._settings)
+        reached = self._approach(self._mechanics)
         contact = reached.state
         if reached.event is ApproachEvent.OBSTRUCTED:
             raise _obstructed(reached)
@@ -129,7 +127,7 @@ class GraspRun:
     def _press(self, ramp: ForceRamp, reached: Approach, *, slip: LevelSlip | None) -> GraspOutcome:
         """Follow a ramp on the touched part; forget a part that is lost on the ramp."""
         self._set_phase(GripperPhase.RAMPING)
-        self._ramp_step = step = ContactStep(self._linkage, ramp, reached, self._end, slip=slip)
+        self._ramp_step = step = ContactStep(ramp, reached, self._end, slip=slip)
         final = self._runner.run(step.step)
         if step.lost:
             ran = step.control is not None and step.control.watch.ran
@@ -148,8 +146,7 @@ class GraspRun:
         """Return when no measurement shows a part; else raise GripContradicted."""
         self._set_phase(GripperPhase.HOLDING)
         step = EmptyGrip(
-            self._settings,
-            self._linkage,
+            self._mechanics,
             state,
             stiffness_n_m=stiffness_n_m,
             approached=approached,
@@ -163,13 +160,12 @@ class GraspRun:
         step = GripStep(self._settings, control, begun, slip=LevelSlip(self._settings))
         return step.outcome(self._runner.run(step.step))
 
-    def _approach(self, settings: GripperSettings) -> Approach:
+    def _approach(self, mechanics: Mechanics) -> Approach:
         """Close until the contact, or the end of the travel, and update the estimates."""
         # Fingers that shall meet find no part.
-        known = settings is self._settings and self._touched > 0
+        known = mechanics is self._mechanics and self._touched > 0
         approach = Approach(
-            settings,
-            self._linkage,
+            mechanics,
             self._runner.servos.read_patiently(),
             widest_m=self._begins_m if known else None,
         )
@@ -183,9 +179,9 @@ class GraspRun:
 
     def _closed(self) -> Approach:
         """Close until the pads meet; raise MechanicsContradicted if nothing stops the fingers."""
-        reached = self._approach(meeting_settings(self._settings))
+        reached = self._approach(meeting(self._mechanics))
         if reached.event is ApproachEvent.LIMIT:
-            raise not_met(self._settings, self._linkage, reached.state, reached.friction_advice)
+            raise not_met(reached.mechanics, reached.state, reached.friction_advice)
         return reached
 
     def _prove_closed(self, state: ServoFeedback) -> None:
@@ -355,8 +351,6 @@ class ContactStep(GripStep):
 
     Parameters
     ----------
-    linkage
-        Of the gripper.
     ramp
         Set-point of the grip force; it begins at the measured force at the contact.
     reached
@@ -369,7 +363,6 @@ class ContactStep(GripStep):
 
     def __init__(
         self,
-        linkage: Linkage,
         ramp: ForceRamp,
         reached: Approach,
         end: threading.Event,
@@ -377,7 +370,6 @@ class ContactStep(GripStep):
         slip: LevelSlip | None,
     ) -> None:
         super().__init__(reached.settings, None, ramp, slip=slip)
-        self._linkage = linkage
         self._reached, self._contact = reached, reached.state
         self._end = end
         self._rest = ContactRest(reached.state.t_s, hard_n=_HARD * reached.settings.contact_force_n)
@@ -394,9 +386,7 @@ class ContactStep(GripStep):
     def _advance(self, moment: Moment) -> GripControl:
         """Advance the time on the ramp: begin it, end it early, or continue."""
         if self.control is None:
-            self.control = GripControl(
-                self._linkage, self._reached, force_n=self._rest.force_n, moment=moment
-            )
+            self.control = GripControl(self._reached, force_n=self._rest.force_n, moment=moment)
             begun = self._time.ramp.starting_from(self._rest.force_n)
             self._time = RampTime(self._settings, begun)
         elif not self._ended and self._ends_early():

@@ -6,7 +6,6 @@ from gripper.force.control.grip_control import GIVE_RAD, GripControl
 from gripper.force.estimates.grip import History
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.identification import LoadPoint
-from gripper.mechanics.kinematics import Linkage, transmissions
 from gripper.servos.goal_limits import ServoGoal, most_closed_rad, running_lead_rad
 
 _LOAD_N_S = {True: 8.0, False: 7.0}
@@ -30,21 +29,16 @@ class LoadTrial:
     ----------
     control
         Of the pads that press on each other.
-    linkage
-        Of the gripper.
     finger
         Index of the finger that moves, and of its servo.
     range_n
         Least and largest force in N.
     """
 
-    def __init__(
-        self, control: GripControl, linkage: Linkage, finger: int, range_n: tuple[float, float]
-    ) -> None:
+    def __init__(self, control: GripControl, finger: int, range_n: tuple[float, float]) -> None:
         self.rising: list[LoadPoint] = []
         self.falling: list[LoadPoint] = []
-        self._control = control
-        self._linkage = linkage
+        self._control, self._mechanics = control, control.grip.mechanics
         self._finger = finger
         self._low_n, self._high_n = range_n
         self._held_rad: tuple[float, ...] = ()
@@ -81,13 +75,13 @@ class LoadTrial:
     def _goals(self, moment: Moment, rate_n_s: float) -> list[ServoGoal]:
         """Return the goals of the moving finger, and of the other one, which holds its position."""
         settings, state = self._control.grip.settings, moment.state
-        paths = transmissions(settings, self._linkage, state.angles_rad)
+        paths = self._mechanics.transmissions(state.angles_rad)
         self._held_rad = self._held_rad or state.angles_rad
         goals = []
         for index, (path, own) in enumerate(zip(paths, settings.servos, strict=True)):
             most_a = min(settings.current_max_a, path.pressing_current_a(settings.force_max_n))
             if index == self._finger:
-                least_rad = most_closed_rad(settings, self._linkage)[index]
+                least_rad = most_closed_rad(self._mechanics)[index]
                 angle_rad = max(self._next_rad(moment, path.n_per_a, rate_n_s), least_rad)
                 angle_rad = min(angle_rad, self._held_rad[index] + GIVE_RAD)
             else:
@@ -119,5 +113,5 @@ class LoadTrial:
         self._sample_s = sample.t_s
         self._control.watch.pads.take(sample)
         self._control.watch.check_pads(moment, rises=False)
-        load_nm = sample.grip_n * self._linkage.effective_radius_m(servo.angle_rad)
+        load_nm = sample.grip_n * self._mechanics.linkage.effective_radius_m(servo.angle_rad)
         self._points.append(LoadPoint(load_nm, self._currents.at(sample.measured_s)))

@@ -6,9 +6,9 @@ from math import inf
 
 from gripper.errors import LimitExceeded
 from gripper.mechanics.impact import check_approach
-from gripper.mechanics.kinematics import Linkage, end_transmissions
+from gripper.mechanics.transmission import Mechanics
 from gripper.servos.winding import longest_s
-from gripper.settings import GripperSettings, check_number
+from gripper.settings import check_number
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,25 +170,24 @@ class ForceRamp:
         return RampSegment(duration_s=duration_s, start_n=from_n, end_n=to_n)
 
 
-def largest_ramp_n(settings: GripperSettings, linkage: Linkage) -> float:
+def largest_ramp_n(mechanics: Mechanics) -> float:
     """Return the force in N up to which cap and current allow a ramp, at any opening."""
+    settings = mechanics.settings
     # Slightly less than the whole current, because of rounding.
     current_a = (1.0 - 1e-9) * settings.current_max_a
-    by_current_n = (
-        path.force_band_n(current_a)[0] for path in end_transmissions(settings, linkage)
-    )
+    by_current_n = (path.force_band_n(current_a)[0] for path in mechanics.end_transmissions())
     return min(settings.grasp_force_limit_n, *by_current_n)
 
 
-def check_ramp(ramp: ForceRamp, settings: GripperSettings, linkage: Linkage) -> None:
-    """Check a ramp against the limits of settings and linkage, before anything moves.
+def check_ramp(ramp: ForceRamp, mechanics: Mechanics) -> None:
+    """Check a ramp against the limits of a gripper, before anything moves.
 
     Raises
     ------
     LimitExceeded
         When a limit does not allow the ramp; the allowed number is named.
     """
-    largest_n = max(ramp.start_n, ramp.final_n)
+    settings, largest_n = mechanics.settings, max(ramp.start_n, ramp.final_n)
     if largest_n > settings.grasp_force_limit_n:
         raise LimitExceeded(
             f"at most {settings.grasp_force_limit_n:.2f} N, so that its overshoot stays below "
@@ -200,22 +199,20 @@ def check_ramp(ramp: ForceRamp, settings: GripperSettings, linkage: Linkage) -> 
             f"at least {settings.contact_force_n} N, contact_force_n: a ramp to {ramp.final_n} N "
             "could not hold a part"
         )
-    needed_a = max(
-        path.loading_current_a(largest_n) for path in end_transmissions(settings, linkage)
-    )
+    needed_a = max(path.loading_current_a(largest_n) for path in mechanics.end_transmissions())
     if needed_a > settings.current_max_a:
         raise LimitExceeded(
             f"{largest_n} N take {needed_a:.3f} A, current_max_a is {settings.current_max_a} "
             f"A: lower the force or shorten the lever of the linkage"
         )
-    check_approach(settings, linkage)
+    check_approach(mechanics)
 
 
-def heat_note(force_n: float, settings: GripperSettings, linkage: Linkage) -> str:
+def heat_note(force_n: float, mechanics: Mechanics) -> str:
     """Return a note on a force in N that the servos cannot hold for hours; empty if they can."""
     least_s, note = inf, ""
-    paths = end_transmissions(settings, linkage)
-    for path, servo in zip(paths, settings.servos * 2, strict=True):
+    servos = mechanics.settings.servos * 2
+    for path, servo in zip(mechanics.end_transmissions(), servos, strict=True):
         current_a, model = path.loading_current_a(force_n), servo.servo_model
         if (lasts_s := longest_s(model, current_a)) < least_s:
             least_s = lasts_s

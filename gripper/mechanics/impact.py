@@ -11,13 +11,12 @@ stop in time because they are slow enough when they touch.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from math import ceil, exp, sqrt
 from typing import NamedTuple
 
-from gripper.dynamixel.drive import SIGMAS, Drives
+from gripper.dynamixel.drive import SIGMAS
 from gripper.errors import LimitExceeded
-from gripper.mechanics.kinematics import Linkage, Transmission, motion_currents_a, transmissions
+from gripper.mechanics.transmission import Drives, Mechanics, Transmission
 from gripper.settings import GripperSettings
 from gripper.values.state import STANDING_M_S
 
@@ -73,9 +72,7 @@ class ImpactLimit(NamedTuple):
         return max(0.0, left_n / self.momentum_n_s_m)
 
 
-def impact_limit(
-    settings: GripperSettings, linkage: Linkage, angles_rad: Sequence[float] | None = None
-) -> ImpactLimit:
+def impact_limit(mechanics: Mechanics, angles_rad: Sequence[float] | None = None) -> ImpactLimit:
     """Return the limit of closing fingers under the cap of the force.
 
     Parameters
@@ -84,19 +81,18 @@ def impact_limit(
         Angle of each servo in rad; None for the worse end of the way between ``aperture_open_m``
         and ``aperture_min_m``.
     """
-    # Settings are compared by identity, which is enough and quick.
-    drives = settings.drives
-    key = (drives.version, id(settings), linkage, angles_rad and tuple(angles_rad))
-    cached: tuple[object, GripperSettings, ImpactLimit] | None = drives.cache.get("impact")
-    if cached is not None and cached[0] == key:
-        return cached[2]
+    key = (mechanics.drives.version, angles_rad and tuple(angles_rad))
+    last: tuple[object, ImpactLimit] | None = mechanics.last_impact
+    if last is not None and last[0] == key:
+        return last[1]
+    settings, linkage = mechanics.settings, mechanics.linkage
     ends_m = (settings.aperture_open_m, settings.aperture_min_m)
     ways = [linkage.angles_rad(end_m) for end_m in ends_m] if angles_rad is None else [angles_rad]
     drive_n = mass_kg = load_share = 0.0
     for way_rad in ways:
-        paths = transmissions(settings, linkage, way_rad)
+        paths = mechanics.transmissions(way_rad)
         try:
-            currents_a = motion_currents_a(settings, paths, settings.approach_force_n)
+            currents_a = mechanics.motion_currents_a(paths, settings.approach_force_n)
         except LimitExceeded:
             # A current below friction moves no finger: the caller of a motion refuses it.
             currents_a = [settings.current_max_a] * len(paths)
@@ -116,7 +112,7 @@ def impact_limit(
         momentum_n_s_m=sqrt(stiffness_n_m * mass_kg),
         load_share=load_share,
     )
-    drives.cache["impact"] = key, settings, limit
+    mechanics.last_impact = key, limit
     return limit
 
 
@@ -143,38 +139,27 @@ def closing_current_max_a(
 
 
 def approach_speed_m_s(
-    settings: GripperSettings,
-    linkage: Linkage,
-    angles_rad: Sequence[float],
-    *,
-    travelling: bool = False,
+    mechanics: Mechanics, angles_rad: Sequence[float], *, travelling: bool = False
 ) -> float:
     """Return the rate of the opening in m/s of an approach at an angle of each servo in rad.
 
     ``travelling`` is True before a part is expected; the force on a part stays below the cap too.
     """
-    wanted_m_s = settings.approach_speed_m_s
+    wanted_m_s = mechanics.settings.approach_speed_m_s
     if travelling:
-        wanted_m_s = max(wanted_m_s, settings.travel_speed_m_s)
-    return min(wanted_m_s, closing_speed_m_s(settings, linkage, angles_rad))
+        wanted_m_s = max(wanted_m_s, mechanics.settings.travel_speed_m_s)
+    return min(wanted_m_s, closing_speed_m_s(mechanics, angles_rad))
 
 
-def closing_speed_m_s(
-    settings: GripperSettings, linkage: Linkage, angles_rad: Sequence[float]
-) -> float:
+def closing_speed_m_s(mechanics: Mechanics, angles_rad: Sequence[float]) -> float:
     """Return the largest rate of the opening in m/s of closing fingers, for any commanded rate."""
     # Each of the fingers closes at half the rate of the opening.
-    allowed_m_s = 2.0 * impact_limit(settings, linkage, angles_rad).pad_speed_m_s()
+    allowed_m_s = 2.0 * impact_limit(mechanics, angles_rad).pad_speed_m_s()
     return max(allowed_m_s, SLOWEST_M_S)
 
 
 def slowing_way_m(
-    settings: GripperSettings,
-    linkage: Linkage,
-    angles_rad: Sequence[float],
-    *,
-    from_m_s: float,
-    to_m_s: float,
+    mechanics: Mechanics, angles_rad: Sequence[float], *, from_m_s: float, to_m_s: float
 ) -> float:
     """Return the change of the opening in m in which closing fingers slow down.
 
@@ -184,8 +169,8 @@ def slowing_way_m(
     """
     if to_m_s >= from_m_s:
         return 0.0
-    mass_kg = impact_limit(settings, linkage, angles_rad).mass_kg
-    paths = transmissions(settings, linkage, angles_rad)
+    settings, paths = mechanics.settings, mechanics.transmissions(angles_rad)
+    mass_kg = impact_limit(mechanics, angles_rad).mass_kg
     slowing_s = max(
         mass_kg * path.radius_m / (path.n_per_a * servo.servo_model.damping_a_s)
         for path, servo in zip(paths, settings.servos, strict=True)
@@ -195,17 +180,15 @@ def slowing_way_m(
     return acts_s * from_m_s + slowing_s * (from_m_s - to_m_s) + lasts_s * to_m_s
 
 
-def check_approach(settings: GripperSettings, linkage: Linkage) -> float:
+def check_approach(mechanics: Mechanics) -> float:
     """Return the least rate of the opening in m/s on the way of an approach.
 
     Raises LimitExceeded when no approach can be stopped below the cap of the force.
     """
     # Motions that measure the servos are slower, and come first.
-    known = {
-        servo.servo_id: settings.drives.of(servo.servo_id, servo.drive).once_measured
-        for servo in settings.servos
-    }
-    limit = impact_limit(replace(settings, drives=Drives(known)), linkage)
+    settings, of = mechanics.settings, mechanics.drives.of
+    known = Drives({servo.servo_id: of(servo).once_measured for servo in settings.servos})
+    limit = impact_limit(Mechanics(settings, mechanics.linkage, known))
     allowed_m_s = 2.0 * limit.pad_speed_m_s()
     if allowed_m_s < SLOWEST_M_S:
         least_n = (limit.drive_n + 0.5 * SLOWEST_M_S * limit.momentum_n_s_m) / (

@@ -1,4 +1,4 @@
-"""Linkage between servos and fingers: angle <-> aperture, current <-> grip force.
+"""Linkage between servos and fingers: angle <-> aperture, and torque for a grip force.
 
 Angles are counted from the zero of each servo and grow while the gripper opens. Grip force is the
 normal force on one finger; in equilibrium both fingers carry the same force.
@@ -7,20 +7,10 @@ normal force on one finger; in equilibrium both fingers carry the same force.
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, replace
-from math import asin, cos, hypot, pi, sin
+from math import asin, cos, pi, sin
 
-from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.errors import LimitExceeded
-from gripper.settings import GripperSettings, check_settings, setting
-from gripper.values.state import ServoFeedback
-
-_FRICTION_RESERVE = 1.2
-"""Friction at rest over friction in motion, which a finger must overcome to move. [assumed]"""
-MOST_FRICTION = 1.6
-"""Largest friction of a gearing over its model's. A larger value has another cause. [assumed]"""
-BOOST_PER_S = 2.0
-"""Growth in 1/s of the factor on the current of fingers that stand still, up to
-`Transmission.most_boost`. [tuned]"""
+from gripper.settings import check_settings, setting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,147 +129,3 @@ class RackPinion(Linkage):
 
     def _travel_per_rad_m(self, angle_rad: float) -> float:
         return self.pinion_radius_m
-
-
-class Transmission:
-    """Relation of servo current and grip force at one position, with the friction of the gearing.
-
-    The torque at rest may lie anywhere in a band: the motor works against friction while the force
-    rises, and friction helps while it falls. Forces of a drive are those that its current would
-    make of a rising load without friction.
-
-    Parameters
-    ----------
-    drive
-        Drive of the servo.
-    radius_m
-        Torque of the servo for a grip force of 1 N, in N m / N.
-    """
-
-    def __init__(self, drive: DriveCharacteristic, radius_m: float) -> None:
-        self.drive = drive
-        self.radius_m = radius_m
-        self.n_per_a = 1.0 / (drive.rising_a_nm * radius_m)
-        """Driving force in N for 1 A."""
-        self.friction_n = drive.breakaway_a * self.n_per_a
-        """Half the width of the friction band without a load, as grip force in N."""
-        self._passive_n = drive.yielding_share * drive.breakaway_a / (drive.falling_a_nm * radius_m)
-        """Largest force in N that the gearing holds without a current."""
-
-    @property
-    def most_boost(self) -> float:
-        """Largest factor on the current that moves a finger: its friction at rest may be more."""
-        return max(MOST_FRICTION, self.drive.most_breakaway_a / self.drive.breakaway_a)
-
-    def held_n(self, drive_n: float) -> float:
-        """Return the largest force in N that a drive in N holds; below 0 if it opens the finger."""
-        if drive_n >= 0.0:
-            return self._passive_n + drive_n * self.drive.rising_a_nm / self.drive.falling_a_nm
-        return self._passive_n * (1.0 + drive_n / self.friction_n)
-
-    def yielding_n(self, force_n: float) -> float:
-        """Return the drive in N at which a force in N begins to fall: the inverse of `held_n`."""
-        above_n = force_n - self._passive_n
-        if above_n >= 0.0:
-            return above_n * self.drive.falling_a_nm / self.drive.rising_a_nm
-        return self.friction_n * above_n / self._passive_n
-
-    def force_sd_n(self, force_n: float) -> float:
-        """Return the standard deviation in N of a grip force by the current alone."""
-        load_n = abs(force_n) + self.friction_n
-        return hypot(self.drive.load_sd * load_n, self.drive.friction_sd * self.friction_n)
-
-    def loading_current_a(self, force_n: float) -> float:
-        """Return the current in A that drives the force up to ``force_n``."""
-        return force_n / self.n_per_a + self.drive.breakaway_a
-
-    def force_band_n(self, current_a: float) -> tuple[float, float]:
-        """Return the least and the largest grip force in N that a current can hold."""
-        centre_n, friction_n = current_a * self.n_per_a, self.friction_n
-        return max(0.0, centre_n - friction_n), max(0.0, self.held_n(centre_n))
-
-    def pressing_n(self, current_a: float) -> float:
-        """Return the largest plausible force in N that a current may press with as it rises."""
-        drive = self.drive
-        return (current_a - drive.least_breakaway_a) * drive.most_torque_nm_a / self.radius_m
-
-    def pressing_current_a(self, force_n: float) -> float:
-        """Return the current in A that presses with a force in N at most: the inverse."""
-        drive = self.drive
-        return force_n * self.radius_m / drive.most_torque_nm_a + drive.least_breakaway_a
-
-
-def transmissions(
-    settings: GripperSettings, linkage: Linkage, angles_rad: Sequence[float]
-) -> tuple[Transmission, ...]:
-    """Return the transmission of each servo at its angle.
-
-    A period of the loop asks for those of its feedback several times: the last ones are kept.
-    """
-    drives = settings.drives
-    key = (drives.version, settings.servos, linkage, tuple(angles_rad))
-    cached: tuple[object, tuple[Transmission, ...]] | None = drives.cache.get("transmissions")
-    if cached is not None and cached[0] == key:
-        return cached[1]
-    paths = tuple(
-        Transmission(drives.of(servo.servo_id, servo.drive), linkage.effective_radius_m(angle_rad))
-        for servo, angle_rad in zip(settings.servos, angles_rad, strict=True)
-    )
-    drives.cache["transmissions"] = key, paths
-    return paths
-
-
-def end_transmissions(settings: GripperSettings, linkage: Linkage) -> list[Transmission]:
-    """Return the transmissions of all servos at both ends of the way; one of them is the worst."""
-    return [
-        path
-        for aperture_m in (settings.aperture_min_m, settings.aperture_open_m)
-        for path in transmissions(settings, linkage, linkage.angles_rad(aperture_m))
-    ]
-
-
-def opening_steps_m(settings: GripperSettings, linkage: Linkage) -> list[float]:
-    """Return for each servo the change of the opening in m by one count, with closed fingers."""
-    return [
-        linkage.opening_per_rad_m(closed_rad) * servo.servo_model.rad_per_pulse
-        for closed_rad, servo in zip(linkage.angles_rad(0.0), settings.servos, strict=True)
-    ]
-
-
-def mean_friction_n(paths: Sequence[Transmission]) -> float:
-    """Return half the width of the friction band in N, the mean of the servos."""
-    return sum([path.friction_n for path in paths]) / len(paths)
-
-
-def mean_yielding_n(paths: Sequence[Transmission], force_n: float) -> float:
-    """Return the drive in N at which a force in N begins to fall, the mean of the servos."""
-    return sum([path.yielding_n(force_n) for path in paths]) / len(paths)
-
-
-def driving_n(state: ServoFeedback, paths: Sequence[Transmission]) -> float:
-    """Return the driving force in N of the measured currents, without friction."""
-    drive_n = 0.0
-    for servo, path in zip(state.servos, paths, strict=True):
-        drive_n -= servo.current_a * path.n_per_a
-    return drive_n / len(paths)
-
-
-def motion_currents_a(
-    settings: GripperSettings, paths: Sequence[Transmission], force_n: float
-) -> list[float]:
-    """Return the current in A that moves each finger freely and presses with at most ``force_n``.
-
-    Friction is included, with a reserve for breakaway up to the cap of the current. Raises
-    LimitExceeded when the cap is too low for the friction.
-    """
-    least_a = max(path.loading_current_a(force_n) for path in paths)
-    if least_a > settings.current_max_a:
-        raise LimitExceeded(
-            f"moving the fingers takes {least_a:.3f} A, current_max_a is "
-            f"{settings.current_max_a} A: write at least that where servo and part bear it, or "
-            "take friction out of the linkage"
-        )
-    currents_a = [
-        force_n / path.n_per_a + _FRICTION_RESERVE * path.drive.breakaway_a for path in paths
-    ]
-    return [min(current_a, settings.current_max_a) for current_a in currents_a]

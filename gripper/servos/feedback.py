@@ -25,10 +25,10 @@ from gripper.dynamixel.control_table import (
 from gripper.dynamixel.drive import SIGMAS
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import BusCorrupt, FeedbackImplausible, LimitExceeded, PositionContradicted
-from gripper.mechanics.kinematics import Linkage, transmissions
+from gripper.mechanics.transmission import Mechanics
 from gripper.servos.motion import ServoMotion
 from gripper.servos.winding import Supply, WindingHeat, winding_a
-from gripper.settings import GripperSettings, ServoSettings
+from gripper.settings import ServoSettings
 from gripper.values.state import ServoFeedback, ServoState
 
 _SPEED_RESERVE = 1.5
@@ -165,7 +165,8 @@ class _Sums(NamedTuple):
 class FeedbackCheck:
     """Comparison of the feedback of servos under torque with possible motion of fingers."""
 
-    def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:
+    def __init__(self, mechanics: Mechanics) -> None:
+        settings, linkage = mechanics.settings, mechanics.linkage
         self.strayed: dict[int, str] = {}
         """Servos whose position has leapt or left its range, with the reason. Where their fingers
         are is unknown until they are restarted."""
@@ -173,8 +174,7 @@ class FeedbackCheck:
         """Travel of each servo by its motor."""
         self.letting_go = False
         """Whether a part is let go, which no contradiction of a position may end."""
-        self._settings = settings
-        self._linkage = linkage
+        self._settings, self._linkage = settings, linkage
         self._lowest_rad = tuple(
             angle - max(_BEYOND_CLOSED_RAD, BEYOND_CLOSED_M / linkage.opening_per_rad_m(angle))
             for angle in linkage.angles_rad(0.0)
@@ -318,17 +318,15 @@ class Feedback:
     def __init__(
         self,
         bus: ServoBus,
-        linkage: Linkage,
-        settings: GripperSettings,
+        mechanics: Mechanics,
         clock: Clock,
         check_torque: Callable[[int], None],
     ) -> None:
+        settings = mechanics.settings
         self.last: ServoFeedback | None = None
         """The last feedback; None before the first reading."""
-        self._bus = bus
-        self._linkage = linkage
+        self._bus, self._mechanics, self._clock = bus, mechanics, clock
         self._settings = settings
-        self._clock = clock
         self._check_torque = check_torque
         self._ids = [servo.servo_id for servo in settings.servos]
         self.turns: dict[int, int] = {}
@@ -337,7 +335,7 @@ class Feedback:
         self._heats = {one.servo_id: WindingHeat(one.servo_model) for one in settings.servos}
         self._supplies = {one.servo_id: Supply() for one in settings.servos}
         self._motions = {one.servo_id: ServoMotion(one.servo_model) for one in settings.servos}
-        self.check = FeedbackCheck(settings, linkage)
+        self.check = FeedbackCheck(mechanics)
         """Comparison with possible motion."""
 
     def read(self, *, under_torque: bool, loaded: bool) -> ServoFeedback:
@@ -426,10 +424,10 @@ class Feedback:
         )
 
     def _gripper_state(self, servos: tuple[ServoState, ...], now_s: float) -> ServoFeedback:
-        linkage, n_servos = self._linkage, len(servos)
+        linkage, n_servos = self._mechanics.linkage, len(servos)
         angles_rad = [servo.angle_rad for servo in servos]
         opening_m_s = current_a = force_n = 0.0
-        paths = transmissions(self._settings, linkage, angles_rad)
+        paths = self._mechanics.transmissions(angles_rad)
         for path, servo in zip(paths, servos, strict=True):
             opening_m_s += linkage.opening_per_rad_m(servo.angle_rad) * servo.velocity_rad_s
             current_a += abs(servo.current_a)

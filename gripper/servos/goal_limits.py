@@ -22,7 +22,7 @@ from gripper.mechanics.impact import (
     current_share,
     impact_limit,
 )
-from gripper.mechanics.kinematics import Linkage, Transmission, transmissions
+from gripper.mechanics.transmission import Mechanics, Transmission
 from gripper.servos.motion import slow_rad_s
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import QUIET_N, ForceSample, RecentForce
@@ -100,19 +100,16 @@ class GoalWriter:
     It keeps the goals that are in force.
     """
 
-    def __init__(
-        self, bus: ServoBus, linkage: Linkage, settings: GripperSettings, clock: Clock
-    ) -> None:
+    def __init__(self, bus: ServoBus, mechanics: Mechanics, clock: Clock) -> None:
         self.last: tuple[ServoGoal, ...] = ()
         """The goals written last, one for each servo; empty while no goal is in force."""
         self.asked: tuple[ServoGoal, ...] = ()
         """The last goals as they were asked for: those that were written may brake."""
         self.raws: dict[int, list[int]] = {}
         """The last contents of the goals' registers, by the servos' IDs, in their order."""
-        self._bus = bus
-        self._linkage = linkage
-        self._settings = settings
-        self._clock = clock
+        settings, linkage = mechanics.settings, mechanics.linkage
+        self._bus, self._mechanics, self._clock = bus, mechanics, clock
+        self._settings, self._linkage = settings, linkage
         self.newest_force: ForceSample | None = None
         """The newest force sample; None before the first one."""
         self._forces = RecentForce()
@@ -122,7 +119,7 @@ class GoalWriter:
         # Two apertures bound the angles. One is wide open. The other is closed, with the goal as
         # far beyond as a gripping servo needs.
         self._open_rad = linkage.angles_rad(settings.aperture_open_m)
-        self._lowest_rad = most_closed_rad(settings, linkage)
+        self._lowest_rad = most_closed_rad(mechanics)
         self._pads = 0.5 * linkage.n_servos
 
     def forget(self) -> None:
@@ -207,7 +204,7 @@ class GoalWriter:
         to it between two writes; a profile does too. Brakes that are ``final`` hold the finger
         where it is: their small current would let the part push it.
         """
-        impact = impact_limit(self._settings, self._linkage, state.angles_rad)
+        impact = impact_limit(self._mechanics, state.angles_rad)
         newest = self.newest_force
         first_n, second_n = (0.0, 0.0) if newest is None else newest.force_n
         forces_n = (first_n, second_n) if len(goals) > 1 else (min(first_n, second_n),)
@@ -217,7 +214,7 @@ class GoalWriter:
             else goal
             for servo, path, goal, now, force_n in zip(
                 self._settings.servos,
-                transmissions(self._settings, self._linkage, state.angles_rad),
+                self._mechanics.transmissions(state.angles_rad),
                 goals,
                 state.servos,
                 forces_n,
@@ -352,7 +349,7 @@ class GoalWriter:
             lowering &= goal.current_a <= self._previous_a[index] + _EQUAL
             opening &= goal.angle_rad >= servo.angle_rad - _EQUAL
         if not lowering and not opening:
-            paths = transmissions(settings, self._linkage, state.angles_rad)
+            paths = self._mechanics.transmissions(state.angles_rad)
             for servo, path, goal in zip(state.servos, paths, goals, strict=True):
                 least_n = goal.current_a * path.n_per_a - path.friction_n
                 if goal.angle_rad < servo.angle_rad and least_n > settings.force_max_n:
@@ -381,8 +378,8 @@ class GoalWriter:
         low_rad = self._lowest_rad[index]
         if low_rad <= goal.angle_rad <= self._open_rad[index]:
             return
-        drive = settings.drives.of(servo.servo_id, servo.drive)
-        margin_rad = max(OPENING_MARGIN_RAD, 1.1 * overrun_rad(servo.servo_model, drive))
+        overrun = overrun_rad(servo.servo_model, self._mechanics.drives.of(servo))
+        margin_rad = max(OPENING_MARGIN_RAD, 1.1 * overrun)
         high_rad = self._open_rad[index] + margin_rad
         # Fingers that stand outside (moved by hand, or past the end) may stay or be brought back
         # in; the reading of a finger at rest jitters by a count.
@@ -413,11 +410,12 @@ def pressing_speed_m_s(settings: GripperSettings, impact: ImpactLimit, setpoint_
     return max(impact.pad_speed_m_s(impact.load_share * setpoint_n + _RESERVE_N), runs_m_s)
 
 
-def most_closed_rad(settings: GripperSettings, linkage: Linkage) -> tuple[float, ...]:
+def most_closed_rad(mechanics: Mechanics) -> tuple[float, ...]:
     """Return the most closed goal of each servo in rad: pads that meet, at the largest current.
 
     Fingers with a servo each may meet beside the middle.
     """
+    settings, linkage = mechanics.settings, mechanics.linkage
     aside_m = (linkage.n_servos - 1) * BEYOND_MIDDLE_M
     return tuple(
         angle_rad

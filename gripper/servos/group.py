@@ -32,7 +32,7 @@ from gripper.errors import (
     ServoMissing,
     VerificationFailed,
 )
-from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
+from gripper.mechanics.transmission import Mechanics
 from gripper.servos.feedback import Feedback
 from gripper.servos.goal_limits import (
     GOAL_BLOCK,
@@ -76,19 +76,18 @@ _CHECKS = 3
 class Servos:
     """All servos of one gripper; the only object that writes to them in operation."""
 
-    def __init__(
-        self, bus: ServoBus, linkage: Linkage, settings: GripperSettings, clock: Clock
-    ) -> None:
+    def __init__(self, bus: ServoBus, mechanics: Mechanics, clock: Clock) -> None:
         self._bus = bus
-        self.linkage = linkage
-        self.settings = self._settings = settings
-        """Both of the gripper."""
+        self.mechanics = mechanics
+        """Of the gripper."""
+        self.settings = self._settings = settings = mechanics.settings
+        """Its settings."""
         self._clock = clock
         self._ids = [servo.servo_id for servo in settings.servos]
-        self.goals = GoalWriter(bus, linkage, settings, clock)
+        self.goals = GoalWriter(bus, mechanics, clock)
         """Writer of the goals within their limits, with the last ones; the force is passed to it.
         """
-        self.feedback = Feedback(bus, linkage, settings, clock, self.check_torque)
+        self.feedback = Feedback(bus, mechanics, clock, self.check_torque)
         """Reader of the feedback, with the last one."""
         self.notes: list[str] = []
         """Warnings of servos that were not yet fetched."""
@@ -220,9 +219,9 @@ class Servos:
                     "the bus watchdog has tripped while a part was held, because nobody called "
                     "tick; the servos have stopped, the part may still be gripped",
                 )
-            settings, state = self._settings, limp or self.read_patiently()
-            paths = transmissions(settings, self.linkage, state.angles_rad)
-            current_a = max(motion_currents_a(settings, paths, settings.approach_force_n))
+            state, force_n = limp or self.read_patiently(), self._settings.approach_force_n
+            paths = self.mechanics.transmissions(state.angles_rad)
+            current_a = max(self.mechanics.motion_currents_a(paths, force_n))
             self.restart_watchdog(current_a, switch_on=off)
 
     def restart_watchdog(self, current_a: float, *, switch_on: bool = False) -> None:

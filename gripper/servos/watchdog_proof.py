@@ -11,10 +11,9 @@ from math import inf
 from gripper.clock import Clock
 from gripper.errors import FingerBlocked, LimitExceeded, WatchdogUnproven
 from gripper.mechanics.impact import closing_current_max_a
-from gripper.mechanics.kinematics import Linkage, motion_currents_a, transmissions
+from gripper.mechanics.transmission import Mechanics
 from gripper.servos.goal_limits import ServoGoal
 from gripper.servos.group import Servos
-from gripper.settings import GripperSettings
 from gripper.values.state import ServoFeedback
 
 _FASTEST_RAD_S = 0.1
@@ -53,16 +52,16 @@ def prove_watchdog(servos: Servos, clock: Clock) -> None:
     FingerBlocked when they did, but something held the fingers. Raises LimitExceeded as
     `proof_travel_m` does.
     """
-    settings, linkage, begin = servos.settings, servos.linkage, servos.read()
-    speed_rad_s, goals_rad = _motion(settings, linkage, begin.angles_rad)
-    paths = transmissions(settings, linkage, begin.angles_rad)
+    mechanics, settings, begin = servos.mechanics, servos.settings, servos.read()
+    speed_rad_s, goals_rad = _motion(mechanics, begin.angles_rad)
+    paths = mechanics.transmissions(begin.angles_rad)
     # Friction at rest may be several times that of the model, or that measured in motion.
     currents_a = [
         max(
             current_a,
             min(path.most_boost * current_a, closing_current_max_a(settings, path, stood_a=inf)),
         )
-        for current_a, path in zip(motion_currents_a(settings, paths, _FORCE_N), paths, strict=True)
+        for current_a, path in zip(mechanics.motion_currents_a(paths, _FORCE_N), paths, strict=True)
     ]
     servos.goals.write(
         [
@@ -113,20 +112,19 @@ def prove_watchdog(servos: Servos, clock: Clock) -> None:
         )
 
 
-def proof_travel_m(settings: GripperSettings, linkage: Linkage, aperture_m: float) -> float:
+def proof_travel_m(mechanics: Mechanics, aperture_m: float) -> float:
     """Return the largest closing way of the test motion in m, from an opening in m.
 
     Raises LimitExceeded when the watchdog's time is too long, or the fingers are too closed, for a
     safe motion.
     """
-    _, goals_rad = _motion(settings, linkage, linkage.angles_rad(aperture_m))
-    return aperture_m - linkage.aperture_m(goals_rad)
+    _, goals_rad = _motion(mechanics, mechanics.linkage.angles_rad(aperture_m))
+    return aperture_m - mechanics.linkage.aperture_m(goals_rad)
 
 
-def _motion(
-    settings: GripperSettings, linkage: Linkage, angles_rad: Sequence[float]
-) -> tuple[float, list[float]]:
+def _motion(mechanics: Mechanics, angles_rad: Sequence[float]) -> tuple[float, list[float]]:
     """Return speed in rad/s and goal angles in rad of the test motion from these angles."""
+    settings, linkage = mechanics.settings, mechanics.linkage
     unit_rad_s = max(servo.servo_model.velocity_unit_rad_s for servo in settings.servos)
     wanted_raw = round(_SILENT_RAD / settings.watchdog_s / unit_rad_s)
     speed_rad_s = min(max(wanted_raw, 1), int(_FASTEST_RAD_S / unit_rad_s)) * unit_rad_s

@@ -15,6 +15,7 @@ from gripper.dynamixel.models import XM430_W350, ServoModel
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
+from gripper.mechanics.transmission import Mechanics
 from gripper.settings import HARD_FORCE_CAP_N, GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
@@ -270,7 +271,7 @@ class Cell:
             ),
             **(GENEROUS | settings),
         )
-        measured_drives(self.settings, *drive_sds)
+        self.drives = measured_drives(self.settings, *drive_sds)
         self.linkage = own
         self.gripper = self.new_gripper()
         self.force_n = 0.0
@@ -281,9 +282,8 @@ class Cell:
         self._now_s = 0.0
 
     def new_gripper(self) -> Gripper:
-        return Gripper(
-            self.bus, self.linkage, self.settings, clock=self.clock, force_sensor=self.sensor
-        )
+        mechanics = Mechanics(self.settings, self.linkage, self.drives)
+        return Gripper(self.bus, mechanics, clock=self.clock, force_sensor=self.sensor)
 
     def _advance(self, now_s: float) -> None:
         dt_s = now_s - self._now_s

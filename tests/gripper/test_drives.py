@@ -10,7 +10,8 @@ from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import XM430_W350
 from gripper.errors import ServoFault
 from gripper.force.ramp import ForceRamp
-from gripper.settings import GripperSettings, ServoSettings
+from gripper.mechanics.transmission import Drives
+from gripper.settings import ServoSettings
 from gripper.values.outcome import GraspResult
 from tests.gripper.conftest import STICKING, STICKING_DRIVE
 from tests.marks import LONG
@@ -95,8 +96,8 @@ def test_one_finger_after_the_other_shows_its_torque(make_started) -> None:
 def test_a_closing_finger_whose_friction_is_more_than_was_measured_moves(make_started) -> None:
     cell = make_started(aperture_m=0.03, present=False, approach_force_n=0.3)
     for servo in cell.settings.servos:
-        drive = cell.settings.drives.of(servo.servo_id, servo.drive)
-        cell.settings.drives.put(servo.servo_id, drive.with_friction(0.25))
+        drive = cell.drives.of(servo)
+        cell.drives.put(servo.servo_id, drive.with_friction(0.25))
     cell.gripper.measure_friction()
     assert cell.gripper.read_feedback().aperture_m == pytest.approx(0.03, abs=0.001)
     check_friction(cell)
@@ -172,7 +173,7 @@ def test_a_drive_that_was_measured_on_a_bench_counts() -> None:
     catalogue = DriveCharacteristic.catalogue(XM430_W350)
     bench = replace(catalogue, rising_a_nm=0.7, kt_nm_a=1.0 / 0.7, friction_sd=0.1)
     servo = ServoSettings(servo_id=1, measured=bench)
-    assert GripperSettings(servos=(servo,)).drives.of(1, servo.drive) is bench
+    assert Drives().of(servo) is bench
     assert ServoSettings(servo_id=1).drive == catalogue
 
 

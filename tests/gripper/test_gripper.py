@@ -131,7 +131,7 @@ def test_a_ramp_beyond_a_limit_is_refused_before_anything_moves(make_started) ->
 @pytest.mark.parametrize("current_max_a", [0.5, 2.0])
 def test_the_largest_ramp_is_the_last_one_that_is_allowed(make_cell, current_max_a: float) -> None:
     cell = make_cell(current_max_a=current_max_a)
-    most_n = largest_ramp_n(cell.settings, cell.linkage)
+    most_n = largest_ramp_n(cell.gripper.mechanics)
     cell.gripper.check_ramp(ForceRamp.linear(most_n, 5.0))
     with pytest.raises(LimitExceeded, match=r"at most 45\.45 N|current_max_a is 0\.5 A"):
         cell.gripper.check_ramp(ForceRamp.linear(1.001 * most_n, 5.0))

@@ -9,13 +9,7 @@ from math import inf, sqrt
 from gripper.force.estimates.grip import StiffnessEstimate
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.impact import approach_speed_m_s, closing_current_max_a, slowing_way_m
-from gripper.mechanics.kinematics import (
-    BOOST_PER_S,
-    MOST_FRICTION,
-    Linkage,
-    motion_currents_a,
-    transmissions,
-)
+from gripper.mechanics.transmission import BOOST_PER_S, MOST_FRICTION, Mechanics
 from gripper.servos.goal_limits import (
     ServoGoal,
     closing_margin_rad,
@@ -23,7 +17,6 @@ from gripper.servos.goal_limits import (
     running_lead_rad,
 )
 from gripper.servos.motion import slow_rad_s
-from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ONE_FRAME_S, QUIET_N, ForceSample, RecentForce
 from gripper.values.state import STANDING_M_S, ServoFeedback
 
@@ -223,8 +216,8 @@ class Approach:
 
     Parameters
     ----------
-    settings, linkage
-        Of the gripper, or those with which empty fingers meet.
+    mechanics
+        Of the gripper, or that with which empty fingers meet.
     state
         Feedback at the start.
     widest_m
@@ -235,8 +228,7 @@ class Approach:
 
     def __init__(
         self,
-        settings: GripperSettings,
-        linkage: Linkage,
+        mechanics: Mechanics,
         state: ServoFeedback,
         *,
         widest_m: float | None = None,
@@ -246,19 +238,18 @@ class Approach:
         """Result of the last step."""
         self.state = state
         """Its feedback."""
-        self.stiffness = StiffnessEstimate(settings, linkage)
+        self.stiffness = StiffnessEstimate(mechanics)
         """Stiffness of the part so far."""
-        self.settings = settings
-        self._linkage = linkage
-        self._least_rad = most_closed_rad(settings, linkage)
+        self.mechanics, self.settings = mechanics, mechanics.settings
+        settings, self._linkage = self.settings, mechanics.linkage
+        self._least_rad = most_closed_rad(mechanics)
         self._slow_at_m = inf
         if widest_m is not None:
             self._slow_at_m = widest_m + slowing_way_m(
-                settings,
-                linkage,
-                linkage.angles_rad(widest_m),
-                from_m_s=approach_speed_m_s(settings, linkage, state.angles_rad, travelling=True),
-                to_m_s=approach_speed_m_s(settings, linkage, state.angles_rad),
+                mechanics,
+                self._linkage.angles_rad(widest_m),
+                from_m_s=approach_speed_m_s(mechanics, state.angles_rad, travelling=True),
+                to_m_s=approach_speed_m_s(mechanics, state.angles_rad),
             )
         self._travels = state.aperture_m > self._slow_at_m
         self._may_boost = may_boost
@@ -273,14 +264,12 @@ class Approach:
 
     def _look(self, state: ServoFeedback) -> None:
         """Set transmissions, currents, speed and lead by the present position and friction."""
-        settings, linkage = self.settings, self._linkage
-        self._paths = paths = transmissions(settings, linkage, state.angles_rad)
+        mechanics, settings, linkage = self.mechanics, self.settings, self._linkage
+        self._paths = paths = mechanics.transmissions(state.angles_rad)
         self._most_a = [closing_current_max_a(settings, path, stood_a=inf) for path in paths]
-        needed_a = motion_currents_a(settings, paths, settings.approach_force_n)
+        needed_a = mechanics.motion_currents_a(paths, settings.approach_force_n)
         self._closing_a = list(map(min, needed_a, self._most_a))
-        self._speed_m_s = approach_speed_m_s(
-            settings, linkage, state.angles_rad, travelling=self._travels
-        )
+        self._speed_m_s = approach_speed_m_s(mechanics, state.angles_rad, travelling=self._travels)
         self._reach_m = [linkage.opening_per_rad_m(angle_rad) for angle_rad in state.angles_rad]
         self._nominal_rad_s = speed = self._speed_m_s / sum(self._reach_m)
         self._lead_m = sum(

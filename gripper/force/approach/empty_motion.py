@@ -11,13 +11,7 @@ from gripper.errors import (
 from gripper.force.approach.mechanics_proof import mechanics_text
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.impact import closing_current_max_a, closing_speed_m_s
-from gripper.mechanics.kinematics import (
-    BOOST_PER_S,
-    Linkage,
-    Transmission,
-    motion_currents_a,
-    transmissions,
-)
+from gripper.mechanics.transmission import BOOST_PER_S, Mechanics, Transmission
 from gripper.servos.goal_limits import (
     ServoGoal,
     closing_margin_rad,
@@ -107,7 +101,7 @@ class MoveTo:
 
     Parameters
     ----------
-    settings, linkage
+    mechanics
         Of the gripper.
     state
         Feedback at the start.
@@ -123,16 +117,15 @@ class MoveTo:
 
     def __init__(
         self,
-        settings: GripperSettings,
-        linkage: Linkage,
+        mechanics: Mechanics,
         state: ServoFeedback,
         *,
         aperture_m: float,
         speed_m_s: float | None = None,
         only_open: bool = False,
     ) -> None:
-        self._settings = settings
-        self._linkage = linkage
+        settings, linkage = mechanics.settings, mechanics.linkage
+        self._mechanics, self._settings = mechanics, settings
         self._only_open = only_open
         self._rise = _ForceRise()
         target_rad = linkage.angles_rad(aperture_m)
@@ -143,7 +136,7 @@ class MoveTo:
         if self._opening:
             speed_m_s = speed_m_s or settings.open_speed_m_s
         else:
-            fastest_m_s = closing_speed_m_s(settings, linkage, state.angles_rad)
+            fastest_m_s = closing_speed_m_s(mechanics, state.angles_rad)
             speed_m_s = min(speed_m_s or settings.approach_speed_m_s, fastest_m_s)
         rate_rad_s = speed_m_s / sum(map(linkage.opening_per_rad_m, state.angles_rad))
         self._fingers = [
@@ -152,13 +145,13 @@ class MoveTo:
                 settings.servos,
                 state.angles_rad,
                 target_rad,
-                most_closed_rad(settings, linkage),
+                most_closed_rad(mechanics),
                 strict=True,
             )
         ]
         self._begun_s = state.t_s
         self._deadline_s = state.t_s + _PATIENCE_S
-        self._set_currents(transmissions(settings, linkage, state.angles_rad))
+        self._set_currents(mechanics.transmissions(state.angles_rad))
 
     def _set_currents(self, paths: tuple[Transmission, ...]) -> None:
         settings = self._settings
@@ -166,8 +159,8 @@ class MoveTo:
         for finger, path, least_a, current_a in zip(
             self._fingers,
             paths,
-            motion_currents_a(settings, paths, 0.0),
-            motion_currents_a(settings, paths, force_n),
+            self._mechanics.motion_currents_a(paths, 0.0),
+            self._mechanics.motion_currents_a(paths, force_n),
             strict=True,
         ):
             # The same current makes more force at wider openings.
@@ -192,7 +185,7 @@ class MoveTo:
             raise PositionContradicted(
                 f"{pressed} while the fingers open: they close, or something pushes them "
                 f"together. They stand still; take the part out by hand, then check "
-                f"{mechanics_text(self._settings, self._linkage)}"
+                f"{mechanics_text(self._mechanics)}"
             )
         self._look(moment)
         passed_s = moment.now_s - self._begun_s
@@ -215,7 +208,7 @@ class MoveTo:
                 f"servo {slowest.servo.servo_id}: its finger is stuck: the gripper stands at "
                 f"{moment.state.aperture_m * 1e3:.1f} mm on its way to "
                 f"{self._aperture_m * 1e3:.1f} mm; if nothing blocks it, check "
-                f"{mechanics_text(self._settings, self._linkage)}",
+                f"{mechanics_text(self._mechanics)}",
                 opens=self._opening,
             )
         return Action(goals=goals, done=arrived)
@@ -223,7 +216,7 @@ class MoveTo:
     def _look(self, moment: Moment) -> None:
         """Use the newest friction of each finger, and extend the time of fingers that run."""
         for finger, servo in zip(self._fingers, moment.state.servos, strict=True):
-            drive = self._settings.drives.of(servo.servo_id, finger.servo.drive)
+            drive = self._mechanics.drives.of(finger.servo)
             finger.overrun_rad = overrun_rad(finger.servo.servo_model, drive)
             if finger.comes_nearer(servo):
                 self._deadline_s = moment.now_s + _PATIENCE_S
@@ -242,7 +235,7 @@ class FirstMotion(MoveTo):
         self._back: _Finger | None = None
         self._stands_m = 0.0
         super()._set_currents(paths)
-        currents_a = motion_currents_a(self._settings, paths, _LEAST_N)
+        currents_a = self._mechanics.motion_currents_a(paths, _LEAST_N)
         for finger, current_a in zip(self._fingers, currents_a, strict=True):
             finger.current_a, finger.lead_rad = current_a, _LEAD_RAD
             finger.most_a = min(self._settings.current_max_a, current_a * finger.most_boost)
@@ -304,7 +297,7 @@ class FirstMotion(MoveTo):
             f"least that moves it. So the settings do not match the position of the fingers, "
             f"something blocks them, or their friction is too high; the torque is switched off. "
             f"Look at the fingers, move them by hand, then check "
-            f"{mechanics_text(self._settings, self._linkage)}"
+            f"{mechanics_text(self._mechanics)}"
         )
 
 

@@ -10,7 +10,7 @@ of the travel. The check is made
    moves a finger, all the way; a finger that is blocked, but free on its way back, contradicts the
    settings. The torque goes off: nothing can be held;
 3. at the first approach after it that finds nothing, and at each self-zero: an approach continued
-   with `meeting_settings` must end where the pads stop each other.
+   with `meeting` must end where the pads stop each other.
 
 A release with its torque just switched on closes no finger, and so tries no way back: closed
 fingers that do not move at all get up to 5 N before the torque goes off.
@@ -44,6 +44,7 @@ from dataclasses import replace
 
 from gripper.errors import GripperError, LimitExceeded, MechanicsContradicted
 from gripper.mechanics.kinematics import Linkage
+from gripper.mechanics.transmission import Mechanics
 from gripper.servos.feedback import BEYOND_CLOSED_M
 from gripper.servos.goal_limits import BEYOND_MIDDLE_M
 from gripper.settings import GripperSettings
@@ -69,10 +70,11 @@ def closes_farther(settings: GripperSettings, state: ServoFeedback) -> bool:
     return state.aperture_m <= settings.aperture_min_m <= _LARGEST_MIN_M
 
 
-def mechanics_text(settings: GripperSettings, linkage: Linkage) -> str:
+def mechanics_text(mechanics: Mechanics) -> str:
     """Return the keys of the config that determine the motion of the fingers, with values."""
-    directions = ", ".join(str(servo.direction) for servo in settings.servos)
-    zeros = ", ".join(str(servo.zero_raw) for servo in settings.servos)
+    servos, linkage = mechanics.settings.servos, mechanics.linkage
+    directions = ", ".join(str(servo.direction) for servo in servos)
+    zeros = ", ".join(str(servo.zero_raw) for servo in servos)
     return (
         f"gripper.servos[].direction ({directions}), gripper.servos[].zero_pulse ({zeros}) and "
         f"gripper.linkage ({linkage})"
@@ -80,17 +82,18 @@ def mechanics_text(settings: GripperSettings, linkage: Linkage) -> str:
 
 
 def standing_rows(
-    settings: GripperSettings, linkage: Linkage, positions_raw: Sequence[int]
+    mechanics: Mechanics, positions_raw: Sequence[int]
 ) -> tuple[VerificationRow, ...]:
     """Return for each servo whether its position is possible for its finger.
 
     Parameters
     ----------
-    settings, linkage
+    mechanics
         Of the gripper.
     positions_raw
         Present Position of each servo (register 132).
     """
+    settings, linkage = mechanics.settings, mechanics.linkage
     halves_m: list[float | None] = []
     for servo, raw in zip(settings.servos, positions_raw, strict=True):
         halves_m.append(_half_m(linkage, servo.angle_rad(raw, servo.turns(raw))))
@@ -127,27 +130,29 @@ def _half_m(linkage: Linkage, angle_rad: float) -> float | None:
     return 0.5 * linkage.of_one_finger().aperture_m((angle_rad,))
 
 
-def meeting_settings(settings: GripperSettings) -> GripperSettings:
-    """Return settings for an approach until the pads of empty fingers meet."""
-    return replace(
-        settings,
-        aperture_min_m=-(ZERO_RANGE_M + _PADS_GIVE_M),
-        aperture_pressed_m=None,
-        contact_timeout_s=min(_LONGER * settings.contact_timeout_s, 60.0),
+def meeting(mechanics: Mechanics) -> Mechanics:
+    """Return the mechanics for an approach until the pads of empty fingers meet."""
+    timeout_s = min(_LONGER * mechanics.settings.contact_timeout_s, 60.0)
+    return mechanics.with_settings(
+        replace(
+            mechanics.settings,
+            aperture_min_m=-(ZERO_RANGE_M + _PADS_GIVE_M),
+            aperture_pressed_m=None,
+            contact_timeout_s=timeout_s,
+        )
     )
 
 
-def not_met(
-    settings: GripperSettings, linkage: Linkage, state: ServoFeedback, advice: str
-) -> GripperError:
+def not_met(mechanics: Mechanics, state: ServoFeedback, advice: str) -> GripperError:
     """Return the error of empty fingers that did not stop where their pads must meet.
 
-    If the time ended before, nothing is wrong with the mechanics: ``advice`` then ends the text.
+    ``mechanics`` is that of `meeting`. If the time ended before, nothing is wrong with it:
+    ``advice`` then ends the text.
     """
-    meeting = meeting_settings(settings)
-    if state.aperture_m > meeting.aperture_min_m:
+    settings = mechanics.settings
+    if state.aperture_m > settings.aperture_min_m:
         return LimitExceeded(
-            f"the empty fingers should meet, but after {meeting.contact_timeout_s:g} s they have "
+            f"the empty fingers should meet, but after {settings.contact_timeout_s:g} s they have "
             f"closed to {state.aperture_m * 1e3:.1f} mm only. They stand still: clear the fault "
             f"and release, then raise gripper.contact_timeout_s or gripper.approach_speed_mm_s"
             f"{advice}"
@@ -156,5 +161,5 @@ def not_met(
         f"the fingers have found nothing, and stand at an opening of "
         f"{state.aperture_m * 1e3:.1f} mm, at which the pads must have stopped each other: "
         f"the closed position in the settings is wrong, so the torque is switched off. Look "
-        f"at the fingers, then check {mechanics_text(settings, linkage)}"
+        f"at the fingers, then check {mechanics_text(mechanics)}"
     )

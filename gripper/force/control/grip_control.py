@@ -9,7 +9,7 @@ from gripper.force.control.law import ForceLaw, Period
 from gripper.force.estimates.grip import KNOWN_N, Grip, History
 from gripper.force.loop import Moment
 from gripper.force.supervision.part_watch import PartWatch
-from gripper.mechanics.kinematics import Linkage, Transmission, mean_friction_n, transmissions
+from gripper.mechanics.transmission import Transmission, mean_friction_n
 from gripper.servos.goal_limits import (
     ServoGoal,
     closing_margin_rad,
@@ -42,7 +42,7 @@ class DriveGoals:
     def __init__(self, grip: Grip, contact: ServoFeedback) -> None:
         self._grip = grip
         self._contact_rad = self._deepest_rad = contact.angles_rad
-        self._least_rad = most_closed_rad(grip.settings, grip.linkage)
+        self._least_rad = most_closed_rad(grip.mechanics)
         self._stop_rad: tuple[float, ...] | None = None
         self._balances_n = History()
 
@@ -54,7 +54,7 @@ class DriveGoals:
     def goals(self, state: ServoFeedback) -> tuple[ServoGoal, ...]:
         """Return the goals that make the driving force of the grip."""
         grip = self._grip
-        paths = transmissions(grip.settings, grip.linkage, state.angles_rad)
+        paths = grip.mechanics.transmissions(state.angles_rad)
         friction_n = mean_friction_n(paths)
         self._limit(state, paths, friction_n)
         goals = []
@@ -137,8 +137,6 @@ class GripControl:
 
     Parameters
     ----------
-    linkage
-        Of the gripper.
     reached
         End of the approach, at the contact.
     force_n
@@ -147,16 +145,10 @@ class GripControl:
         First period after the rest at the contact: the fingers may have moved in it.
     """
 
-    def __init__(
-        self, linkage: Linkage, reached: Approach, *, force_n: float, moment: Moment
-    ) -> None:
-        settings, state = reached.settings, moment.state
-        self._settings = settings
-        self._linkage = linkage
-        touch_m = reached.touch_m
+    def __init__(self, reached: Approach, *, force_n: float, moment: Moment) -> None:
+        state, touch_m = moment.state, reached.touch_m
         self.grip = grip = Grip(
-            settings=settings,
-            linkage=linkage,
+            mechanics=reached.mechanics,
             stiffness=reached.stiffness,
             touch_m=touch_m,
             apertures=History(),
@@ -170,7 +162,7 @@ class GripControl:
         # A high load at the first touch: stiff, or no part at all.
         yielded_m = max(touch_m - state.aperture_m, grip.stiffness.step_m)
         contact_n_m = force_n / yielded_m if force_n > KNOWN_N else None
-        given_m = GIVE_RAD * sum(map(linkage.opening_per_rad_m, state.angles_rad))
+        given_m = GIVE_RAD * sum(map(grip.mechanics.linkage.opening_per_rad_m, state.angles_rad))
         # A hard touch has compressed the part already.
         self.watch = PartWatch(grip, contact_n_m, widest_m=max(touch_m, state.aperture_m) + given_m)
         """Decides whether the part is gone; called before `goals` in each period."""
@@ -233,7 +225,7 @@ class GripControl:
                 return self.quiet_goals(moment)
             self._stalled_s, grip.force_n = None, sample.grip_n
             self._law.begin(moment.now_s)
-        paths = transmissions(self._settings, self._linkage, state.angles_rad)
+        paths = self.grip.mechanics.transmissions(state.angles_rad)
         period = Period(
             moment=moment,
             sample=sample,

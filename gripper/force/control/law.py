@@ -23,13 +23,12 @@ from dataclasses import dataclass
 from math import copysign, hypot, inf, sqrt
 from statistics import fmean
 
-from gripper.dynamixel.drive import Drives
 from gripper.errors import LimitExceeded
 from gripper.force.control.observer import GripObserver
 from gripper.force.estimates.grip import Grip, History
 from gripper.force.loop import Moment
 from gripper.mechanics.impact import CURRENT_S, ImpactLimit, current_share, impact_limit
-from gripper.mechanics.kinematics import Transmission, driving_n, mean_yielding_n
+from gripper.mechanics.transmission import Drives, Transmission, driving_n, mean_yielding_n
 from gripper.servos.goal_limits import MOST_STICTION, pressing_speed_m_s
 from gripper.values.force_sensor import FRAME_S, LOOK_BACK_S, ForceSample
 from gripper.values.state import ServoFeedback
@@ -213,7 +212,7 @@ class ForceLaw:
 
     def __init__(self, grip: Grip, now_s: float) -> None:
         self._grip = grip
-        self._pushes = Pushes(grip.settings.drives)
+        self._pushes = Pushes(grip.mechanics.drives)
         self.begin(now_s)
 
     def begin(self, now_s: float) -> None:
@@ -425,4 +424,4 @@ class ForceLaw:
 
 def _impact(grip: Grip, period: Period) -> ImpactLimit:
     """Return the limit of closing fingers where they are now."""
-    return impact_limit(grip.settings, grip.linkage, period.state.angles_rad)
+    return impact_limit(grip.mechanics, period.state.angles_rad)

@@ -63,7 +63,7 @@ class GripObserver:
     """
 
     def __init__(self, grip: Grip, now_s: float) -> None:
-        self.mass_kg = impact_limit(grip.settings, grip.linkage).mass_kg
+        self.mass_kg = impact_limit(grip.mechanics).mass_kg
         """Moving mass of a finger at the pad in kg."""
         self._estimate = grip.stiffness
         self.force_n = max(0.0, grip.force_n)

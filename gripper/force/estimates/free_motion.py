@@ -13,8 +13,9 @@ from gripper.dynamixel.drive import INERTIA_SD, SIGMAS, DriveCharacteristic
 from gripper.errors import ServoFault
 from gripper.force.loop import Action, LoopRunner, Moment
 from gripper.mechanics.identification import FreePoint, change, fit_friction, grown
+from gripper.mechanics.transmission import Mechanics
 from gripper.servos.motion import position_sd_rad, slow_rad_s
-from gripper.settings import GripperSettings, ServoSettings
+from gripper.settings import ServoSettings
 from gripper.values.state import ServoFeedback, ServoState
 
 _BEFORE_END_S = 0.05
@@ -43,16 +44,17 @@ _FRICTION = (*("coulomb_a", "viscous_a_s", "offset_a", "breakaway_a", "friction_
 
 
 class FreeMotion:
-    """Watcher of the servos during free motion; keeps their friction in `settings.drives`.
+    """Watcher of the servos during free motion; keeps their friction in its drives.
 
     Parameters
     ----------
-    settings
-        Settings of the gripper.
+    mechanics
+        Of the gripper.
     """
 
-    def __init__(self, settings: GripperSettings) -> None:
-        self._settings = settings
+    def __init__(self, mechanics: Mechanics) -> None:
+        self._settings = settings = mechanics.settings
+        self._drives = mechanics.drives
         self._points: dict[int, list[FreePoint]] = {}
         self._runs = {servo.servo_id: _Run(servo) for servo in settings.servos}
         self._priors: dict[int, DriveCharacteristic] = {}
@@ -68,9 +70,9 @@ class FreeMotion:
         """Discard the known friction: after a fault the next motion measures it again."""
         self.forget()
         for servo in self._settings.servos:
-            drive = self._drive(servo)
+            drive = self._drives.of(servo)
             if drive.measured:
-                self._settings.drives.put(servo.servo_id, drive.distrusted)
+                self._drives.put(servo.servo_id, drive.distrusted)
 
     def run(
         self,
@@ -109,7 +111,7 @@ class FreeMotion:
                 self._take(settings, servo, run)
                 run.start()
             run.add(moment.now_s, servo)
-            drive = self._drive(settings)
+            drive = self._drives.of(settings)
             if not drive.measured and run.lasts():
                 # The rest of the first motion uses the result of its beginning.
                 self._take(settings, servo, run)
@@ -117,7 +119,7 @@ class FreeMotion:
     def compare(self) -> None:
         """Note contradictions of pads and motor constant: neither follows the other."""
         for servo in self._settings.servos:
-            times = self._drive(servo).disagreement(servo.servo_model)
+            times = self._drives.of(servo).disagreement(servo.servo_model)
             begin = f"servo {servo.servo_id}: by the pads"
             if times != 1.0 and not any(note.startswith(begin) for note in self.notes):
                 self.notes.append(
@@ -126,12 +128,9 @@ class FreeMotion:
                     f"the pads: `tactile-cell commission --redo pads_law`"
                 )
 
-    def _drive(self, settings: ServoSettings) -> DriveCharacteristic:
-        return self._settings.drives.of(settings.servo_id, settings.drive)
-
     def _take(self, settings: ServoSettings, servo: ServoState, run: "_Run") -> None:
         """Fit the friction of a servo again with its motion."""
-        drive, servo_id, model = self._drive(settings), settings.servo_id, settings.servo_model
+        drive, servo_id, model = self._drives.of(settings), settings.servo_id, settings.servo_model
         point = run.point(drive)
         if point is None:
             return
@@ -159,7 +158,7 @@ class FreeMotion:
             breakaway_a=fitted.coulomb_a * drive.breakaway_share,
             temperature_c=servo.temperature_c,
         )
-        self._settings.drives.put(servo_id, fitted)
+        self._drives.put(servo_id, fitted)
         usual_a = DriveCharacteristic.catalogue(model).breakaway_a
         if fitted.breakaway_a > _WORN * usual_a:
             raise ServoFault(

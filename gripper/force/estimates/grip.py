@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from math import inf, sqrt
 
 from gripper.force.loop import Moment
-from gripper.mechanics.kinematics import Linkage, opening_steps_m
+from gripper.mechanics.transmission import Mechanics
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ONE_FRAME_S
 
@@ -73,14 +73,14 @@ class StiffnessEstimate:
 
     Parameters
     ----------
-    settings, linkage
+    mechanics
         Of the gripper.
     """
 
-    def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:
-        self.step_m = max(opening_steps_m(settings, linkage))
+    def __init__(self, mechanics: Mechanics) -> None:
+        self.step_m = max(mechanics.opening_steps_m())
         """Resolution of the opening in m: the largest count of a servo."""
-        self._touch_n = _TOUCH_SHARE * settings.contact_force_n
+        self._touch_n = _TOUCH_SHARE * mechanics.settings.contact_force_n
         self.apertures = History()
         """Opening of the last periods in m."""
         self._block: list[tuple[float, float]] = []
@@ -158,8 +158,7 @@ class StiffnessEstimate:
 class Grip:
     """State of one grip, and the set-points of its control."""
 
-    settings: GripperSettings
-    linkage: Linkage
+    mechanics: Mechanics
     """Of the gripper."""
     stiffness: StiffnessEstimate
     """Stiffness of the part."""
@@ -178,3 +177,8 @@ class Grip:
     """Estimated grip force in N, and the drive in N that balances it without friction."""
     drive_n: float
     """Driving force of the last period in N. It opens below 0."""
+
+    @property
+    def settings(self) -> GripperSettings:
+        """Settings of the gripper."""
+        return self.mechanics.settings

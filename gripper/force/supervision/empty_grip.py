@@ -5,10 +5,9 @@ from gripper.force.approach.approach import LOADED_SHARE, Approach, ApproachEven
 from gripper.force.estimates.grip import SOFTEST_N_M
 from gripper.force.loop import Action, Moment
 from gripper.force.supervision.part_watch import ADVICE, BREAKAWAY_SHARE, RUN_STEPS, FrameMean
-from gripper.mechanics.kinematics import Linkage, transmissions
+from gripper.mechanics.transmission import Mechanics
 from gripper.servos.goal_limits import standing
 from gripper.servos.group import frozen
-from gripper.settings import GripperSettings
 from gripper.values.force_sensor import LEAST_SAMPLES, RecentForce
 from gripper.values.state import ServoFeedback
 
@@ -35,7 +34,7 @@ class EmptyGrip:
 
     Parameters
     ----------
-    settings, linkage
+    mechanics
         Of the gripper.
     state
         Feedback at the end of the grasp.
@@ -50,19 +49,17 @@ class EmptyGrip:
 
     def __init__(
         self,
-        settings: GripperSettings,
-        linkage: Linkage,
+        mechanics: Mechanics,
         state: ServoFeedback,
         *,
         stiffness_n_m: float | None,
         approached: bool,
         ran: bool,
     ) -> None:
-        friction_n = max(
-            path.friction_n for path in transmissions(settings, linkage, state.angles_rad)
-        )
-        self._settings = settings
-        self._approach = Approach(settings, linkage, state, may_boost=approached)
+        paths = mechanics.transmissions(state.angles_rad)
+        friction_n = max(path.friction_n for path in paths)
+        self._settings = settings = mechanics.settings
+        self._approach = Approach(mechanics, state, may_boost=approached)
         self._step_m = self._approach.stiffness.step_m
         self._run_m = RUN_STEPS * self._step_m
         if not approached:

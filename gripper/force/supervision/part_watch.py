@@ -14,7 +14,7 @@ from gripper.errors import ForceImbalance, GripContradicted, PositionContradicte
 from gripper.force.approach.approach import LOADED_SHARE
 from gripper.force.estimates.grip import KNOWN_N, SOFTEST_N_M, Grip
 from gripper.force.loop import Moment
-from gripper.mechanics.kinematics import driving_n, mean_friction_n, transmissions
+from gripper.mechanics.transmission import driving_n, mean_friction_n
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import FRAME_S, LOOK_BACK_S, ONE_FRAME_S, ForceSample, RecentForce
 from gripper.values.state import ServoFeedback
@@ -307,7 +307,7 @@ class PartWatch:
             first_n, second_n = suspicion.frames.finger_means_n
             shows = f"a frame scanned since then shows {first_n:.2f} and {second_n:.2f} N"
             raise self._contradicted(moment, suspicion, shows)
-        paths = transmissions(grip.settings, grip.linkage, moment.state.angles_rad)
+        paths = grip.mechanics.transmissions(moment.state.angles_rad)
         friction_n = (1.0 + BREAKAWAY_SHARE) * mean_friction_n(paths)
         pressing_n = driving_n(moment.state, paths) - friction_n
         if pressing_n < _PRESSING_N:
@@ -372,7 +372,7 @@ class PartWatch:
         """
         if stiffness_n_m is None or self._ahead_from is None:
             return False
-        settings, linkage = self._grip.settings, self._grip.linkage
+        settings, linkage = self._grip.settings, self._grip.mechanics.linkage
         began_m, began_n = self._ahead_from
         travel_m = began_m - self._grip.apertures.at(sample.measured_s)
         promised_n = stiffness_n_m * travel_m

@@ -33,7 +33,6 @@ from cell.errors import ConfigError
 from cell.files import CONFIG
 from cell.sensors.flexitac import FlexiTacConfig
 from cell.simulation import simulation_of
-from gripper.mechanics.kinematics import end_transmissions
 from tactile.flexitac import PROFILES
 from tactile.layout import LAYOUTS
 from tests.faults.campaign import (
@@ -354,7 +353,7 @@ _MORE_KEYS: dict[str, dict[str, Any]] = {
 _USUAL = CellConfig()
 _NEEDED_A = max(
     path.loading_current_a(max(_USUAL.sequence.forces_n))
-    for path in end_transmissions(_USUAL.gripper_settings, _USUAL.linkage)
+    for path in _USUAL.mechanics.end_transmissions()
 )
 REFUSED = {
     "gripper.linkage.link_mm=5": "aperture_open_mm is beyond gripper.linkage, its lengths",

@@ -6,7 +6,8 @@ from typing import Any
 from gripper.force.control.law import Period
 from gripper.force.estimates.grip import Grip, History, StiffnessEstimate
 from gripper.force.loop import Moment
-from gripper.mechanics.kinematics import ParallelLinkage, transmissions
+from gripper.mechanics.kinematics import ParallelLinkage
+from gripper.mechanics.transmission import Mechanics
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
 from tests.values import make_state
@@ -23,14 +24,13 @@ STIFFNESS_N_M = 1e4
 
 
 def make_grip(force_n: float = 1.0, touch_m: float | None = None) -> Grip:
-    settings = GripperSettings()
+    mechanics = Mechanics(GripperSettings(), LINKAGE)
     apertures = History()
     apertures.add(0.0, STATE.aperture_m)
-    stiffness = StiffnessEstimate(settings, LINKAGE)
+    stiffness = StiffnessEstimate(mechanics)
     stiffness.bounds_n_m = 0.25 * STIFFNESS_N_M, STIFFNESS_N_M
     return Grip(
-        settings=settings,
-        linkage=LINKAGE,
+        mechanics=mechanics,
         stiffness=stiffness,
         touch_m=touch_m or STATE.aperture_m + 2.0 * force_n / STIFFNESS_N_M,
         apertures=apertures,
@@ -58,7 +58,7 @@ def make_period(
     """
     if isinstance(sample, float):
         sample = ForceSample(t_s=now_s, force_n=(sample, sample), lag_s=0.0015, noise_n=0.1)
-    paths = transmissions(GripperSettings(), LINKAGE, STATE.angles_rad)
+    paths = Mechanics(GripperSettings(), LINKAGE).transmissions(STATE.angles_rad)
     current_a, velocity_rad_s = -drive_n / paths[0].n_per_a, 0.5 * speed_m_s / paths[0].radius_m
     servos = tuple(
         replace(servo, current_a=current_a, velocity_rad_s=velocity_rad_s) for servo in STATE.servos

@@ -3,6 +3,7 @@
 import re
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -13,21 +14,24 @@ from gripper.errors import ForceAboveCap, LimitExceeded
 from gripper.force.approach import approach
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.impact import approach_speed_m_s, check_approach, impact_limit
-from gripper.mechanics.kinematics import ParallelLinkage, transmissions
+from gripper.mechanics.kinematics import ParallelLinkage
+from gripper.mechanics.transmission import Mechanics
 from gripper.servos.goal_limits import GoalWriter
-from gripper.settings import GripperSettings, ServoSettings
+from gripper.settings import GripperSettings
 from tests.values import measured_drives
 
 LINKAGE = ParallelLinkage(link_m=0.06)
-SETTINGS = measured_drives(
-    GripperSettings(servos=(ServoSettings(servo_id=1), ServoSettings(servo_id=2)))
-)
+SETTINGS = GripperSettings()
+
+
+def mechanics(linkage: ParallelLinkage = LINKAGE, **changes: Any) -> Mechanics:
+    return Mechanics(replace(SETTINGS, **changes), linkage, measured_drives(SETTINGS))
 
 
 def test_the_default_speed_is_below_what_the_default_cap_allows() -> None:
-    assert check_approach(SETTINGS, LINKAGE) == SETTINGS.approach_speed_m_s
-    assert approach_speed_m_s(SETTINGS, LINKAGE, (0.1, 0.1)) == SETTINGS.approach_speed_m_s
-    limit = impact_limit(SETTINGS, LINKAGE)
+    assert check_approach(mechanics()) == SETTINGS.approach_speed_m_s
+    assert approach_speed_m_s(mechanics(), (0.1, 0.1)) == SETTINGS.approach_speed_m_s
+    limit = impact_limit(mechanics())
     # 0.0062 kg m² at 60 mm are 1.7 kg, on 55 N/mm 311 N for each m/s; a tenth of 15 N stays free.
     assert limit.momentum_n_s_m == pytest.approx(311.0, abs=6.0)
     assert limit.most_n == pytest.approx(13.5)
@@ -47,17 +51,16 @@ def test_the_default_speed_is_below_what_the_default_cap_allows() -> None:
     ],
 )
 def test_mass_stiffness_lever_and_current_set_the_speed(change, linkage, faster) -> None:
-    plain = impact_limit(SETTINGS, LINKAGE).pad_speed_m_s()
-    speed_m_s = impact_limit(replace(SETTINGS, **change), linkage).pad_speed_m_s()
+    plain = impact_limit(mechanics()).pad_speed_m_s()
+    speed_m_s = impact_limit(mechanics(linkage, **change)).pad_speed_m_s()
     assert (speed_m_s > plain) is faster
 
 
 def test_a_cap_below_which_nothing_stops_is_refused_and_the_remedy_works() -> None:
-    low = replace(SETTINGS, force_max_n=2.0)
     with pytest.raises(LimitExceeded, match=r"force_max_n is 2 N: .* Raise") as error:
-        check_approach(low, LINKAGE)
+        check_approach(mechanics(force_max_n=2.0))
     remedy = re.search(r"Raise force_max_n to ([0-9.]+) N", str(error.value))
-    assert check_approach(replace(low, force_max_n=float(remedy[1])), LINKAGE) >= 0.004
+    assert check_approach(mechanics(force_max_n=float(remedy[1]))) >= 0.004
 
 
 def test_a_config_is_refused_or_slowed_with_the_reason() -> None:
@@ -84,7 +87,7 @@ def test_the_limit_stands_beside_the_write_and_not_in_the_caller_alone(
     make_started, monkeypatch
 ) -> None:
     monkeypatch.setattr(
-        approach, "approach_speed_m_s", lambda settings, *_a, **_k: settings.approach_speed_m_s
+        approach, "approach_speed_m_s", lambda one, *_a, **_k: one.settings.approach_speed_m_s
     )
     hard = {"stiffness_n_m": 55e3, "force_max_n": 12.0, "current_max_a": 0.8}
 
@@ -100,17 +103,14 @@ def test_the_limit_stands_beside_the_write_and_not_in_the_caller_alone(
 
 
 def test_a_new_drive_counts_at_once_and_equal_angles_are_computed_once() -> None:
-    settings, linkage, angles_rad = GripperSettings(), LINKAGE, (0.1, 0.1)
-    paths = transmissions(settings, linkage, angles_rad)
-    limit = impact_limit(settings, linkage, angles_rad)
-    assert transmissions(settings, linkage, list(angles_rad)) is paths
-    assert impact_limit(settings, linkage, angles_rad) is limit
+    own, angles_rad = Mechanics(GripperSettings(), LINKAGE), (0.1, 0.1)
+    paths, limit = own.transmissions(angles_rad), impact_limit(own, angles_rad)
+    assert own.transmissions(list(angles_rad)) is paths
+    assert impact_limit(own, angles_rad) is limit
     heavy = replace(paths[0].drive, breakaway_a=0.2, kt_nm_a=0.5 * paths[0].drive.kt_nm_a)
-    settings.drives.put(1, heavy)
-    assert [path.drive for path in transmissions(settings, linkage, angles_rad)] == [
-        heavy,
-        paths[1].drive,
-    ]
-    assert impact_limit(settings, linkage, angles_rad).mass_kg > 1.5 * limit.mass_kg
-    capped = replace(settings, force_max_n=9.0)
-    assert impact_limit(capped, linkage, angles_rad).most_n == pytest.approx(8.1)
+    own.drives.put(1, heavy)
+    assert [path.drive for path in own.transmissions(angles_rad)] == [heavy, paths[1].drive]
+    assert impact_limit(own, angles_rad).mass_kg > 1.5 * limit.mass_kg
+    capped = own.with_settings(replace(own.settings, force_max_n=9.0))
+    assert capped.drives is own.drives
+    assert impact_limit(capped, angles_rad).most_n == pytest.approx(8.1)

@@ -7,7 +7,8 @@ from hypothesis import given, settings, strategies as st
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import XM430_W350
 from gripper.errors import LimitExceeded
-from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion, Transmission
+from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
+from gripper.mechanics.transmission import Transmission
 
 LINK = ParallelLinkage(link_m=0.06)
 LINKAGES = st.one_of(

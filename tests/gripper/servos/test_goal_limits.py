@@ -6,11 +6,12 @@ from unittest.mock import Mock
 
 import pytest
 
-from gripper.dynamixel.drive import DriveCharacteristic, Drives
+from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.errors import ForceAboveCap, ForceSensorStale, LimitExceeded
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.impact import SLOWEST_M_S, impact_limit
 from gripper.mechanics.kinematics import ParallelLinkage
+from gripper.mechanics.transmission import Drives, Mechanics
 from gripper.servos.goal_limits import GoalWriter, ServoGoal
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
@@ -24,19 +25,21 @@ RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 
 
 SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1),))
-PAIR = measured_drives(GripperSettings())
+PAIR = GripperSettings()
 
 
-def make_writer(settings: GripperSettings = PAIR, linkage: ParallelLinkage = LINKAGE) -> GoalWriter:
+def make_writer(settings: GripperSettings = PAIR, drives: Drives | None = None) -> GoalWriter:
     clock = VirtualClock()
     clock.sleep(1.0)  # the time of `make_state`
-    return GoalWriter(Mock(), linkage, settings, clock)
+    linkage = replace(LINKAGE, n_servos=len(settings.servos))
+    mechanics = Mechanics(settings, linkage, drives or measured_drives(PAIR))
+    return GoalWriter(Mock(), mechanics, clock)
 
 
 @pytest.mark.parametrize(("over_n", "at_most_s"), [(0.8, 0.03), (3.0, 0.006)])
 def test_the_cap_is_noticed_the_sooner_the_more_it_is_passed(over_n, at_most_s) -> None:
     draw = random.Random(4)
-    writer = make_writer(SETTINGS, ParallelLinkage(link_m=0.06, n_servos=1))
+    writer = make_writer(SETTINGS)
     reported_s = None
     for i in range(2200):
         t_s = 0.005 * i
@@ -178,9 +181,9 @@ def test_known_friction_brakes_a_finger_that_is_slightly_too_fast(
     usual = DriveCharacteristic.catalogue(PAIR.servos[0].servo_model)
     stiff = replace(usual, breakaway_a=0.4, friction_sd=friction_sd)
     drives = Drives({servo.servo_id: stiff for servo in PAIR.servos})
-    settings = replace(PAIR, drives=drives)
-    writer, asked = make_writer(settings), [ServoGoal(angle_rad=0.05, current_a=0.6)] * 2
-    most_m_s = max(impact_limit(settings, LINKAGE, (0.1, 0.1)).pad_speed_m_s(), 0.5 * SLOWEST_M_S)
+    writer, asked = make_writer(PAIR, drives), [ServoGoal(angle_rad=0.05, current_a=0.6)] * 2
+    limit = impact_limit(Mechanics(PAIR, LINKAGE, drives), (0.1, 0.1))
+    most_m_s = max(limit.pad_speed_m_s(), 0.5 * SLOWEST_M_S)
     braked = writer.bounded(asked, standing(velocity_rad_s=-(most_m_s / 0.0597 + 0.2)))
     if keeps:
         assert all(goal.angle_rad == 0.05 and 0.1 < goal.current_a < 0.4 for goal in braked)

@@ -10,6 +10,7 @@ import pytest
 from gripper.errors import FeedbackImplausible, PositionContradicted, ServoFault
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.kinematics import ParallelLinkage
+from gripper.mechanics.transmission import Mechanics
 from gripper.servos.feedback import FeedbackCheck, MotorTravel
 from gripper.settings import GripperSettings
 from gripper.values.state import Cycle, GripperPhase, ServoState
@@ -95,7 +96,7 @@ def checked(check: FeedbackCheck, rad_s: float, *, loaded: bool, at_rad: float =
 
 @pytest.mark.parametrize("loaded", [True, False])
 def test_a_steady_motion_out_of_the_range_keeps_what_the_pads_hold(loaded: bool) -> None:
-    check = FeedbackCheck(GripperSettings(), ParallelLinkage(link_m=0.06))
+    check = FeedbackCheck(Mechanics(GripperSettings(), ParallelLinkage(link_m=0.06)))
     kind = PositionContradicted if loaded else FeedbackImplausible
     with pytest.raises(kind, match=r"finger stands at -0\.08\d rad, it can be from -0\.080"):
         checked(check, -0.05, loaded=loaded)
@@ -104,7 +105,7 @@ def test_a_steady_motion_out_of_the_range_keeps_what_the_pads_hold(loaded: bool)
 
 @pytest.mark.parametrize("loaded", [True, False])
 def test_a_leap_ends_limp_whatever_the_pads_show(loaded: bool) -> None:
-    check = FeedbackCheck(GripperSettings(), ParallelLinkage(link_m=0.06))
+    check = FeedbackCheck(Mechanics(GripperSettings(), ParallelLinkage(link_m=0.06)))
     with pytest.raises(FeedbackImplausible, match="leapt"):
         checked(check, -25.0, loaded=loaded, at_rad=0.3)
 
@@ -113,7 +114,7 @@ def test_a_leap_ends_limp_whatever_the_pads_show(loaded: bool) -> None:
 def test_a_leap_is_what_one_and_a_half_times_the_no_load_speed_cannot_make(
     leap_rad: float, possible: bool
 ) -> None:
-    check = FeedbackCheck(GripperSettings(), ParallelLinkage(link_m=0.06))
+    check = FeedbackCheck(Mechanics(GripperSettings(), ParallelLinkage(link_m=0.06)))
     (servo,) = moving([0.0], at_rad=0.0)
     check.check((servo,), 0.0, loaded=False)
     with nullcontext() if possible else pytest.raises(FeedbackImplausible, match="leapt"):

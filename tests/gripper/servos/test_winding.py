@@ -13,7 +13,8 @@ import pytest
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import MODELS, XC330_M288, XL330_M288, XM430_W350
 from gripper.force.ramp import ForceRamp, heat_note
-from gripper.mechanics.kinematics import ParallelLinkage, Transmission
+from gripper.mechanics.kinematics import ParallelLinkage
+from gripper.mechanics.transmission import Mechanics, Transmission
 from gripper.servos.goal_limits import ServoGoal
 from gripper.servos.group import for_hours
 from gripper.servos.winding import Supply, WindingHeat, longest_s, winding_a
@@ -164,9 +165,9 @@ def test_a_pause_without_readings_counts_with_the_last_current() -> None:
 
 
 def test_a_grip_beyond_the_holding_current_gets_a_note_with_its_time() -> None:
-    settings, linkage = GripperSettings(), ParallelLinkage(link_m=0.06)
-    assert heat_note(5.0, settings, linkage) == ""
-    assert "bears 0.40 A for hours: after" in heat_note(12.0, settings, linkage)
+    mechanics = Mechanics(settings := GripperSettings(), ParallelLinkage(link_m=0.06))
+    assert heat_note(5.0, mechanics) == ""
+    assert "bears 0.40 A for hours: after" in heat_note(12.0, mechanics)
     goals = [ServoGoal(angle_rad=0.1, current_a=a) for a in (0.7, 0.2)]
     assert [goal.current_a for goal in for_hours(goals, settings)] == [0.4, 0.2]
 

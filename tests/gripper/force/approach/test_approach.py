@@ -8,6 +8,7 @@ from gripper.force.approach.approach import Approach, ApproachEvent, ContactDete
 from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.kinematics import ParallelLinkage
+from gripper.mechanics.transmission import Mechanics
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.state import Cycle, GripperPhase, ServoFeedback
@@ -18,6 +19,7 @@ SETTINGS = GripperSettings(
     servos=(ServoSettings(servo_id=1), ServoSettings(servo_id=2)), contact_timeout_s=3.0
 )
 DT_S = 0.005
+MECHANICS = Mechanics(SETTINGS, LINKAGE, measured_drives(SETTINGS))
 
 
 def sample(t_s: float, first_n: float, second_n: float, valid: bool = True) -> ForceSample:
@@ -39,7 +41,7 @@ def state(t_s: float, aperture_m: float, speed_m_s: float, current_a: float = 0.
 
 
 def new_approach(aperture_m: float = 0.02) -> Approach:
-    return Approach(measured_drives(SETTINGS), LINKAGE, state(0.0, aperture_m, 0.0))
+    return Approach(MECHANICS, state(0.0, aperture_m, 0.0))
 
 
 @pytest.fixture
@@ -119,8 +121,8 @@ def test_a_standstill_at_the_current_limit_is_a_contact_with_one_pad_alone(one_p
 def test_the_cap_is_named_where_it_limits_the_current_of_fingers_that_stand() -> None:
     advices = []
     for cap_n in (SETTINGS.force_max_n, 1.5):
-        settings = measured_drives(replace(SETTINGS, force_max_n=cap_n))
-        approach = Approach(settings, LINKAGE, state(0.0, 0.01, 0.0))
+        mechanics = MECHANICS.with_settings(replace(SETTINGS, force_max_n=cap_n))
+        approach = Approach(mechanics, state(0.0, 0.01, 0.0))
         for i in range(40):
             step(approach, DT_S * i, DT_S, state(DT_S * i, 0.01, 0.0), None)
         advices.append(approach.friction_advice)
@@ -131,10 +133,10 @@ def test_the_cap_is_named_where_it_limits_the_current_of_fingers_that_stand() ->
 
 @pytest.mark.parametrize("forces_n", [(0.25, 0.0), (0.0, 0.25)])
 def test_a_touch_of_either_pad_brakes_a_servo_that_drives_both_while_it_lasts(forces_n) -> None:
-    linkage = replace(LINKAGE, n_servos=1)
-    settings = measured_drives(replace(SETTINGS, servos=SETTINGS.servos[:1]))
+    settings = replace(SETTINGS, servos=SETTINGS.servos[:1])
+    mechanics = Mechanics(settings, replace(LINKAGE, n_servos=1), measured_drives(settings))
     begin = state(0.0, 0.02, 0.0)
-    approach = Approach(settings, linkage, replace(begin, servos=begin.servos[:1]))
+    approach = Approach(mechanics, replace(begin, servos=begin.servos[:1]))
     for i in range(60):
         at = state(DT_S * i, 0.02, -0.012)
         at = replace(at, servos=at.servos[:1])

@@ -15,6 +15,7 @@ from gripper.errors import (
 from gripper.force.approach.mechanics_proof import POSITION_ITEM, standing_rows
 from gripper.force.ramp import ForceRamp
 from gripper.mechanics.kinematics import ParallelLinkage
+from gripper.mechanics.transmission import Mechanics
 from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
@@ -109,13 +110,13 @@ def test_a_wrong_direction_is_refused_where_its_finger_is_beyond_the_middle(
     ],
 )
 def test_a_finger_may_stand_beyond_the_middle_where_the_other_makes_room(halves_mm, right) -> None:
-    settings, linkage = GripperSettings(), ParallelLinkage(link_m=0.06)
+    mechanics = Mechanics(GripperSettings(), ParallelLinkage(link_m=0.06))
     positions_raw = []
-    for servo, half_mm in zip(settings.servos, halves_mm, strict=True):
-        angle_rad = linkage.angles_rad(2e-3 * half_mm)[0]
+    for servo, half_mm in zip(mechanics.settings.servos, halves_mm, strict=True):
+        angle_rad = mechanics.linkage.angles_rad(2e-3 * half_mm)[0]
         pulses = servo.direction * angle_rad / servo.servo_model.rad_per_pulse
         positions_raw.append(servo.zero_raw + round(pulses))
-    assert tuple(row.ok for row in standing_rows(settings, linkage, positions_raw)) == right
+    assert tuple(row.ok for row in standing_rows(mechanics, positions_raw)) == right
 
 
 @pytest.mark.parametrize(("linkage", "aperture_m"), [("parallel", 0.0), ("rack", 0.002)])

@@ -12,7 +12,7 @@ from gripper.force.control.grip_control import GIVE_RAD, DriveGoals
 from gripper.force.control.law import ForceLaw, ForcePlan
 from gripper.force.control.observer import GripObserver
 from gripper.force.estimates.grip import STIFFEST_N_M, StiffnessEstimate
-from gripper.mechanics.kinematics import Transmission, transmissions
+from gripper.mechanics.transmission import Mechanics, Transmission
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.state import ServoFeedback
@@ -25,7 +25,8 @@ from tests.gripper.force.grips import (
     make_period,
 )
 
-PATHS = transmissions(GripperSettings(), LINKAGE, STATE.angles_rad)
+MECHANICS = Mechanics(GripperSettings(), LINKAGE)
+PATHS = MECHANICS.transmissions(STATE.angles_rad)
 """Gearings with Coulomb friction alone."""
 NOISE_N = 0.1
 
@@ -145,7 +146,7 @@ def test_fingers_beyond_the_touch_are_not_pushed_open(may_open) -> None:
 def test_pushes_show_the_stiction_and_the_next_grip_begins_with_it() -> None:
     grip = Grip(1.0, stiction=1.9)
     grip.follow(ramp(1.0, 4.0, 3.0))
-    assert 1.6 < grip.grip.settings.drives.stiction <= 2.0
+    assert 1.6 < grip.grip.mechanics.drives.stiction <= 2.0
 
 
 def test_the_drive_of_a_hold_balances_the_force() -> None:
@@ -250,7 +251,7 @@ def test_the_side_of_the_goal_is_the_sign_of_the_drive() -> None:
     assert closing_rad < 0.09 < opening_rad
     assert closing_a == pytest.approx(opening_a)
     for drive_n in (100.0, -100.0):
-        path = transmissions(GripperSettings(), LINKAGE, (0.09, 0.09))[0]
+        path = MECHANICS.transmissions((0.09, 0.09))[0]
         most_a = path.pressing_current_a(GripperSettings().force_max_n)
         assert first_goal(goals, drive_n, 0.09)[1] == pytest.approx(most_a)
 
@@ -258,12 +259,12 @@ def test_the_side_of_the_goal_is_the_sign_of_the_drive() -> None:
 def test_no_finger_pushes_the_other_aside_with_a_force_that_the_cap_does_not_allow() -> None:
     """With another friction each servo has another share of a push; the caps leave them equal."""
     grip, state = make_grip(touch_m=standing(0.1).aperture_m), standing(0.09)
-    settings, servo = grip.settings, grip.settings.servos[0]
-    drive = settings.drives.of(servo.servo_id, servo.drive)
+    settings, drives, servo = grip.settings, grip.mechanics.drives, grip.settings.servos[0]
+    drive = drives.of(servo)
     light = {"coulomb_a": 0.3 * drive.coulomb_a, "breakaway_a": 0.3 * drive.breakaway_a}
-    settings.drives.put(servo.servo_id, replace(drive, **light))
+    drives.put(servo.servo_id, replace(drive, **light))
     goals = DriveGoals(grip, standing(0.1))
-    path = transmissions(settings, LINKAGE, state.angles_rad)[0]
+    path = grip.mechanics.transmissions(state.angles_rad)[0]
     for sign in (1.0, -1.0):
         grip.balance_n = grip.drive_n = sign * 2.0 * settings.force_max_n
         first, second = goals.goals(state)
@@ -295,8 +296,7 @@ def test_no_finger_is_driven_open_beyond_the_touch() -> None:
 
 def pressed(n_m: float, rate_hz: float, noise_n: float, seed: int = 0) -> StiffnessEstimate:
     """Return the estimate of a part that the fingers have pressed with 1.2 N or more, by counts."""
-    settings = GripperSettings()
-    estimate, generator = StiffnessEstimate(settings, LINKAGE), random.Random(seed)
+    estimate, generator = StiffnessEstimate(MECHANICS), random.Random(seed)
     for i in range(100):
         now_s = 0.005 * i
         way_m = max(2.4, 1e-4 * n_m) * now_s / n_m

@@ -5,18 +5,19 @@ import pytest
 from gripper.errors import GripContradicted
 from gripper.force.loop import Moment
 from gripper.force.supervision.empty_grip import EmptyGrip
+from gripper.mechanics.transmission import Mechanics
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
 from tests.gripper.force.grips import LINKAGE, STATE
 
 LAG_S, PERIOD_S, FRAME_S = 0.02, 0.005, 0.02
-SETTINGS = GripperSettings()
+MECHANICS = Mechanics(GripperSettings(), LINKAGE)
 """0.6 N are a contact, so 0.3 N on both pads are a load."""
 
 
 def periods(*samples_n: float, frame_n: float | None = 0.0) -> list[bool]:
     """Return whether each period confirmed an empty grip, with a sample in each; all 0 N later."""
-    empty = EmptyGrip(SETTINGS, LINKAGE, STATE, stiffness_n_m=None, approached=True, ran=True)
+    empty = EmptyGrip(MECHANICS, STATE, stiffness_n_m=None, approached=True, ran=True)
     done: list[bool] = []
     for i in range(1, 20):
         t_s = STATE.t_s + PERIOD_S * i
