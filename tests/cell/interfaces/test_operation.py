@@ -13,6 +13,7 @@ import threading
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from unittest.mock import Mock
 from types import SimpleNamespace
 from typing import Any
 from xmlrpc.client import ServerProxy
@@ -150,7 +151,7 @@ def test_the_unit_serves_the_config_and_brings_the_can_up(tmp_path) -> None:
     assert "ExecStartPre" not in unit_of(small_config())
 
 
-def test_what_the_service_user_cannot_read_is_named(tmp_path) -> None:
+def test_what_the_service_user_cannot_read_is_named(tmp_path, monkeypatch) -> None:
     config = tmp_path / "home" / "cell.yaml"
     config.parent.mkdir(0o755)
     token = tmp_path / "token"
@@ -162,11 +163,15 @@ def test_what_the_service_user_cannot_read_is_named(tmp_path) -> None:
     config.chmod(0o640)
     config.parent.chmod(0o750)
     assert closed_to_others(config) in (config.parent, *tmp_path.parents)
-    warned = CliRunner().invoke(app, ["service", "install", "-c", str(config)]).stderr
+    asked = ["service", "install", "-c", str(config)]
+    warned = CliRunner().invoke(app, asked).stderr
     assert "no interface is open: set serve.http_port" in warned
     assert f"{config}: the user tactile-cell cannot read /" in warned
     assert f"{token}: the user tactile-cell cannot read /" in warned
     assert "chgrp tactile-cell /" in warned
+    # As pathlib does for a group without a name, for example of an image or a network drive.
+    monkeypatch.setattr(Path, "group", Mock(side_effect=KeyError("gid not found: 54321")))
+    assert CliRunner().invoke(app, asked).stderr == warned
 
 
 # -- udev --------------------------------------------------------------------------------------

@@ -189,6 +189,14 @@ def closed_to_others(path: Path) -> Path | None:
     return next(closed, path if unread else None)
 
 
+def _group_of(path: Path) -> str | None:
+    """Return the group of a file; None if this machine has no name for it."""
+    try:
+        return path.group()
+    except KeyError:
+        return None
+
+
 def _can_commands(config: CellConfig) -> Iterator[list[str]]:
     """Yield the commands that bring SocketCAN interfaces up, as root; they may be up already."""
     buses = [can for _, _, can in config.can_buses if can.interface == "socketcan"]
@@ -328,7 +336,7 @@ def install(
         print_note(ALL_CLOSED)
     secrets = {Path(name) for key in _SECRET_KEYS if (name := getattr(checked.serve, key))}
     for path in filter(None, (Path(program()[0]), config, model, *sorted(secrets))):
-        if (closed := closed_to_others(path)) is None or closed.group() == NAME:
+        if (closed := closed_to_others(path)) is None or _group_of(closed) == NAME:
             continue
         advice = f"move it, for example to {STATE_FOLDER} or /opt, or permit it: chmod o+rX"
         if path in secrets:
