@@ -59,7 +59,7 @@ class Moment:
 
 @dataclass(slots=True, kw_only=True)
 class CommandState:
-    """State of the commands of a gripper: its lifecycle writes it, the loop reads it."""
+    """State of the commands of a gripper: it writes this state, its loop reads it."""
 
     phase: GripperPhase = GripperPhase.OFF
     observer: Observer | None = None
