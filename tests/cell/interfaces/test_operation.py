@@ -13,9 +13,9 @@ import threading
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from unittest.mock import Mock
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 from xmlrpc.client import ServerProxy
 from zipfile import ZipFile
 

@@ -5,7 +5,7 @@ import importlib.metadata
 import shutil
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -204,6 +204,15 @@ def test_a_job_that_is_cancelled_as_soon_as_it_is_accepted_is_cancelled(plugin: 
         assert plugin.status().state == "IDLE"
 
 
+@pytest.fixture
+def few_collected() -> Iterator[None]:
+    """Leave what other tests have made out of collections: they would take long."""
+    gc.freeze()
+    yield
+    gc.unfreeze()
+
+
+@pytest.mark.usefixtures("few_collected")
 def test_a_plugin_that_is_dropped_disconnects_and_ends_its_threads(plugin_class) -> None:
     # The mover refers to the host: only the collector finds that nobody does.
     host = list[Any]()
