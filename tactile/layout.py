@@ -110,10 +110,10 @@ class TaxelLayout:
     """(n_taxels,) int64: pad of each taxel; row-major within a pad."""
     taxel_xy_m: NDArray[np.float64] = field(init=False)
     """(n_taxels, 2) float64: position in the pad's plane in m: x along the finger, y across."""
-    position_m: NDArray[np.float64] = field(init=False)
-    """(n_taxels, 3) float64: position in m in the frame of the taxel's finger."""
     gripping_pads: tuple[int, int] = field(init=False)
     """Index of the inner pad of finger 0 and of finger 1."""
+    gripping_taxels: tuple[slice, slice] = field(init=False)
+    """Where in a frame the taxels of these two pads are."""
     layout_hash: str = field(init=False)
     """16 hexadecimal digits over all that gives the samples their meaning."""
 
@@ -136,16 +136,12 @@ class TaxelLayout:
             )
         sizes = [pad.n_taxels for pad in self.pads]
         xy_m = [pad.taxel_xy_m() for pad in self.pads]
-        position_m = [
-            np.array(pad.centre_m) + xy @ np.array([pad.x_axis, pad.y_axis])
-            for pad, xy in zip(self.pads, xy_m, strict=True)
-        ]
         derived: dict[str, Any] = {
             "pad_shape": _read_only([(pad.rows, pad.columns) for pad in self.pads], np.int64),
             "taxel_pad": _read_only(np.repeat(np.arange(len(sizes)), sizes), np.int64),
             "taxel_xy_m": _read_only(np.concatenate(xy_m), np.float64),
-            "position_m": _read_only(np.concatenate(position_m), np.float64),
             "gripping_pads": (inner[0][0], inner[1][0]),
+            "gripping_taxels": (self.taxels_of(inner[0][0]), self.taxels_of(inner[1][0])),
             "layout_hash": _layout_hash(self),
         }
         for key, value in derived.items():
@@ -179,6 +175,22 @@ class TaxelLayout:
             raise IndexError(f"pad {pad} does not exist, layout {self.name} has {self.n_pads}")
         start = sum(p.n_taxels for p in self.pads[:pad])
         return slice(start, start + self.pads[pad].n_taxels)
+
+    def medians(self, values: NDArray[Any]) -> NDArray[np.float64]:
+        """Return the median over each pad, (n_pads,), of one value for each taxel."""
+        return np.array([np.median(values[self.taxels_of(pad)]) for pad in range(self.n_pads)])
+
+    def on_fingers(self, values: NDArray[Any]) -> tuple[float, float]:
+        """Return the sum over the gripping pad of each finger, of one value for each taxel."""
+        first, second = (float(values[taxels].sum()) for taxels in self.gripping_taxels)
+        return first, second
+
+    def place(self, taxel: int) -> str:
+        """Return pad, row and column of a taxel as text."""
+        number = int(self.taxel_pad[taxel])
+        pad = self.pads[number]
+        row, column = divmod(taxel - self.taxels_of(number).start, pad.columns)
+        return f"{pad.name} row {row} column {column}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -330,8 +330,7 @@ def _load(frames: NDArray[np.uint16], config: CellConfig, named: str) -> Finding
     rest = float(np.median(counts))
     spread = 1.4826 * float(np.median(np.abs(counts - rest)))
     over = np.where(counts - rest > _PRESSED_SIGMAS * spread + 1.0, counts - rest, 0.0)
-    force_n = make_calibration(config.tactile, layout).force_n(over)
-    first_n, second_n = (float(force_n[layout.taxels_of(p)].sum()) for p in layout.gripping_pads)
+    first_n, second_n = layout.on_fingers(make_calibration(config.tactile, layout).force_n(over))
     return check_result(
         "pads' force",
         f"about {first_n:.1f} N on finger 0, {second_n:.1f} N on finger 1, without a zero",

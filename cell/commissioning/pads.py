@@ -54,19 +54,10 @@ Counts = NDArray[np.uint16]
 
 def taxel_names(layout: TaxelLayout, taxels: Sequence[int]) -> str:
     """Return the names of taxels by pad, row and column; of many taxels only the first."""
-    named = []
-    for taxel in taxels[:_TAXELS_NAMED]:
-        pad = int(layout.taxel_pad[taxel])
-        row, column = divmod(taxel - layout.taxels_of(pad).start, layout.pads[pad].columns)
-        named.append(f"{layout.pads[pad].name} row {row} column {column}")
+    named = [layout.place(taxel) for taxel in taxels[:_TAXELS_NAMED]]
     if (more := len(taxels) - len(named)) > 0:
         named.append(f"and {more} more")
     return ", ".join(named)
-
-
-def _by_pad(layout: TaxelLayout, values: NDArray[np.float64]) -> list[float]:
-    """Return the median of one value for each taxel over each pad."""
-    return [float(np.median(values[layout.taxels_of(pad)])) for pad in range(layout.n_pads)]
 
 
 def judge_rest(
@@ -90,7 +81,7 @@ def judge_rest(
         Force in N that must be detected.
     """
     zero_counts, health = frames.mean(axis=0), assess_health(frames, layout.adc_max)
-    zero, noise = _by_pad(layout, zero_counts), _by_pad(layout, frames.std(axis=0))
+    zero, noise = layout.medians(zero_counts), layout.medians(frames.std(axis=0))
     n, averaged = len(frames) // limits.mean_frames, limits.mean_frames
     tared = np.where(health.bad, 0.0, frames[: n * averaged] - zero_counts)
     force_n = calibration.force_n(tared.reshape(n, averaged, -1).mean(axis=1))
@@ -104,8 +95,7 @@ def judge_rest(
         f"{min(noise):.1f} to {max(noise):.1f} counts of {layout.adc_max} by pad; at rest the "
         f"force of the inner pads varies by {first_n:.2f} and {second_n:.2f} N."
     )
-    kinds = {"dead": health.dead, "stuck": health.stuck, "at full scale": health.saturated}
-    for name, mask in kinds.items():
+    for name, mask in health.kinds.items():
         if taxels := np.flatnonzero(mask).tolist():
             are = "1 taxel is" if len(taxels) == 1 else f"{len(taxels)} taxels are"
             names = taxel_names(layout, taxels)

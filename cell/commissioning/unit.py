@@ -35,7 +35,7 @@ from tactile.control_unit.search import (
     scan_nodes,
 )
 from tactile.control_unit.settings import LinkSettings, least_sync_period_s
-from tactile.control_unit.setup import identity_checks, refuse_mismatch
+from tactile.control_unit.setup import identity_checks, refuse_mismatch, written
 from tactile.errors import BusNotOpened, TactileError
 from tactile.layout import LAYOUTS, TaxelLayout
 from tactile.sensor.opening import open_sensor
@@ -337,15 +337,9 @@ def _fit_period(layout: TaxelLayout, bitrate: int, bench: Bench, notes: Notes) -
 
 def _writes(unit: FoundUnit, link: LinkSettings) -> list[ProposedChange]:
     """Return the writes to the unit at each start of the link."""
-    coming = (
-        round(1e6 * link.sync_period_s),
-        round(1e6 * link.window_s),
-        round(1e3 * link.heartbeat_s),
-        0x380 + unit.node_id,
-        round(1e3 * link.force_period_s),
-    )
+    coming = written(link, unit.node_id, forces=unit.sends_forces)
     where, undo = f"control unit, node {unit.node_id}", "switch it off and on; it is not stored"
     return [
-        ProposedChange(where, name, str(before), str(after), undo)
-        for (name, before), after in zip(unit.registers, coming, strict=False)
+        ProposedChange(where, text, str(before), str(coming[name]), undo)
+        for name, (text, before) in unit.registers.items()
     ]

@@ -320,11 +320,7 @@ def dead_taxels_text(zeroed: ZeroMeasurement, layout: TaxelLayout) -> str:
     """Return the dead taxels as a note; empty without any."""
     if not zeroed.dead:
         return ""
-    places = ", ".join(
-        f"{int(taxel) - layout.taxels_of(pad).start} of {layout.pads[pad].name}"
-        for taxel in zeroed.dead[:8]
-        for pad in (int(layout.taxel_pad[taxel]),)
-    )
+    places = ", ".join(layout.place(taxel) for taxel in zeroed.dead[:8])
     return f"{len(zeroed.dead)} taxels measure nothing although their neighbours do: {places}"
 
 

@@ -19,7 +19,7 @@ from tactile.can.bus import bad_lines, interface_failed, message_source, of_anot
 from tactile.can.sdo_client import PolledSdoClient
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.settings import LinkSettings, NodeIdentity
-from tactile.control_unit.setup import refuse_mismatch, refuse_other_unit, set_up, set_up_forces
+from tactile.control_unit.setup import refuse_mismatch, refuse_other_unit, set_up
 from tactile.control_unit.watch import OPERATIONAL, ForceFlow, FrameFlow, NodeWatch
 from tactile.frames import FrameAssembler, FrameFormat, encode_zero
 from tactile.layout import PadMount, TaxelLayout, taxel_order
@@ -209,12 +209,11 @@ class TactileLink(LatchingSource):
         self._wait_for(lambda: watch.boot_ups > 0, "did not boot")
         identity = refuse_other_unit(objects, self.layout, self._node_id, settings)
         table = self._force_table if self._answers_in_time() else None
-        set_up(objects, settings)
+        set_up(objects, settings, self._node_id, table)
         if table is not None:
-            frame_id = set_up_forces(objects, settings, self._node_id, table)
             self._force_flow = ForceFlow(self._name, settings, self._counts.forces)
             self._network.unsubscribe(od.COB_TPDO1 + self._node_id)
-            self._network.subscribe(frame_id, self._on_frame)
+            self._network.subscribe(od.COB_TPDO3 + self._node_id, self._on_frame)
             self._network.subscribe(od.COB_TPDO2 + self._node_id, self._on_force)
         if watch.boot_ups > 1:
             raise errors.NodeMissing(

@@ -3,7 +3,7 @@
 For commissioning, while the unit is still unknown. Nothing is written to it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext, suppress
 from dataclasses import dataclass
 
@@ -14,8 +14,8 @@ from tactile.can.bus import message_source, of_another_kind
 from tactile.can.sdo_client import COB_SDO_REQUEST, COB_SDO_RESPONSE, PolledSdoClient
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import TactileLink
-from tactile.control_unit.settings import NodeIdentity
-from tactile.control_unit.setup import read_identity
+from tactile.control_unit.settings import LinkSettings, NodeIdentity
+from tactile.control_unit.setup import read_identity, written
 from tactile.errors import BusOff, NodeMissing
 from tactile.layout import paper_layout
 
@@ -26,6 +26,13 @@ _READ_DEVICE_TYPE = bytes.fromhex("40 00 10 00 00 00 00 00")
 _ANSWER_S = 0.1
 """Time in s that the last node has for its answer."""
 _POLL_S = 0.005
+_UNITS = {
+    "Synchronous window length": " in us",
+    "Communication cycle period": " in us",
+    "Producer heartbeat time": " in ms",
+    od.FORCES_TIMER: " in ms",
+}
+"""Units of objects that a start writes (CiA 301, 7.5.2); an EDS has none."""
 _GAP_S = 0.001
 """Pause in s between two requests: more than both messages take at 125 kbit/s and one node."""
 
@@ -107,21 +114,8 @@ class FoundUnit:
     """Rows and columns of each pad in the order in which it is sent."""
     sends_forces: bool
     """Whether it has force messages."""
-    registers: tuple[tuple[str, int], ...]
-    """What a start of the link will write over: name and present value."""
-
-
-_WRITTEN = {
-    "SYNC period (1006h) in us": "Communication cycle period",
-    "SYNC window (1007h) in us": "Synchronous window length",
-    "heartbeat (1017h) in ms": "Producer heartbeat time",
-}
-"""Objects that each start of the link writes: text, and name in the EDS."""
-_WRITTEN_FORCES = {
-    "COB-ID of frames (1800h:1)": od.FRAMES_COB_ID,
-    "period of force messages (1801h:5) in ms": od.FORCES_TIMER,
-}
-"""The same where the unit has force messages."""
+    registers: Mapping[str, tuple[str, int]]
+    """What a start of the link will write over, by name in the EDS: text, and present value."""
 
 
 def read_unit(bus: can.BusABC, node_id: int) -> FoundUnit:
@@ -140,7 +134,7 @@ def read_unit(bus: can.BusABC, node_id: int) -> FoundUnit:
                 "expected: the unit's firmware does not fit this software's EDS"
             )
         sends_forces = objects.find(od.FORCE_MESSAGE) is not None
-        written = _WRITTEN | (_WRITTEN_FORCES if sends_forces else {})
+        names = written(LinkSettings(), node_id, forces=sends_forces)
         return FoundUnit(
             node_id=node_id,
             identity=identity,
@@ -149,7 +143,10 @@ def read_unit(bus: can.BusABC, node_id: int) -> FoundUnit:
             adc_max=objects["Taxel layout.Full scale of the counts"].raw,
             pad_shapes=tuple(zip(shapes[::2], shapes[1::2], strict=True)),
             sends_forces=sends_forces,
-            registers=tuple((text, objects[name].raw) for text, name in written.items()),
+            registers={
+                name: (objects.label(name) + _UNITS.get(name, ""), objects[name].raw)
+                for name in names
+            },
         )
 
 

@@ -122,46 +122,46 @@ def refuse_mismatch(checks: list[Check], problem: str, advice: str = _CHECK_CONF
         raise IdentityMismatch(f"{problem}: {'; '.join(failed)}. {advice}")
 
 
-def set_up(objects: PolledSdoClient, settings: LinkSettings) -> None:
-    """Write the periods, and read them back."""
+def written(settings: LinkSettings, node_id: int, *, forces: bool) -> dict[str, int]:
+    """Return the numbers that each start of the link writes, by the names of their objects.
+
+    With force messages the frames get a lower priority, because a force message must not wait for
+    a burst of 7 ms.
+    """
     numbers = {
         "COB-ID SYNC message": od.COB_SYNC,
         "Synchronous window length": round(settings.window_s * 1e6),
         "Communication cycle period": round(settings.sync_period_s * 1e6),
         "Producer heartbeat time": round(settings.heartbeat_s * 1e3),
     }
-    for name, number in numbers.items():
-        objects[name].raw = number
-    refuse_mismatch(_checks(objects, numbers), "the control unit did not keep its set-up")
+    if forces:
+        numbers[od.FRAMES_COB_ID] = od.COB_TPDO3 + node_id
+        numbers[od.FORCES_TIMER] = round(settings.force_period_s * 1e3)
+    return numbers
 
 
-def set_up_forces(
-    objects: PolledSdoClient, settings: LinkSettings, node_id: int, table: bytes
-) -> int:
-    """Write the table of counts to force and start the force messages; all values are read back.
-
-    The frames get a lower priority, because a force message must not wait for a burst of 7 ms.
-    Returns the new COB-ID of the frames.
+def set_up(
+    objects: PolledSdoClient, settings: LinkSettings, node_id: int, table: bytes | None
+) -> None:
+    """Write the periods, and with a table start the force messages; all values are read back.
 
     Parameters
     ----------
     table
-        Object 0x2141, see `tactile.frames.force_table`.
+        Object 0x2141, see `tactile.frames.force_table`; None without force messages.
     """
-    objects[od.FORCE_TABLE].raw = table
-    numbers = {
-        od.FRAMES_COB_ID: od.COB_TPDO3 + node_id,
-        od.FORCES_COB_ID: od.COB_TPDO2 + node_id,
-        od.FORCES_TIMER: round(1e3 * settings.force_period_s),
-        **objects.defaults("TPDO2 mapping parameter"),
-    }
-    frame_id = numbers[od.FRAMES_COB_ID]
-    # A PDO's identifier may be changed only while the PDO is off (CiA 301, 7.5.2.37).
-    objects[od.FRAMES_COB_ID].raw = od.PDO_INVALID | frame_id
-    objects[od.FRAMES_COB_ID].raw = frame_id
-    objects[od.FORCES_TIMER].raw = numbers[od.FORCES_TIMER]
-    stored = objects[od.FORCE_TABLE].raw
-    text = stored[-2:].hex() if stored == table else f"{len(stored)} bytes of another table"
-    checks = [(od.FORCE_TABLE, table[-2:].hex(), text), *_checks(objects, numbers)]
-    refuse_mismatch(checks, "the control unit did not keep the set-up of its force messages")
-    return frame_id
+    numbers = written(settings, node_id, forces=table is not None)
+    for name, number in numbers.items():
+        if name == od.FRAMES_COB_ID:
+            # A PDO's identifier may be changed only while the PDO is off (CiA 301, 7.5.2.37).
+            objects[name].raw = od.PDO_INVALID | number
+        objects[name].raw = number
+    checks = _checks(objects, numbers)
+    if table is not None:
+        objects[od.FORCE_TABLE].raw = table
+        stored = objects[od.FORCE_TABLE].raw
+        text = stored[-2:].hex() if stored == table else f"{len(stored)} bytes of another table"
+        forces_id = {od.FORCES_COB_ID: od.COB_TPDO2 + node_id}
+        messages = _checks(objects, forces_id | objects.defaults("TPDO2 mapping parameter"))
+        checks += [(od.FORCE_TABLE, table[-2:].hex(), text), *messages]
+    refuse_mismatch(checks, f"{objects.name} did not keep its set-up")

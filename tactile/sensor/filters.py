@@ -106,10 +106,7 @@ def typical_noise(layout: TaxelLayout, noise_counts: Values, least_counts: float
 
     A hundred frames are too few for the noise of a single taxel.
     """
-    noise = np.full(layout.n_taxels, least_counts)
-    for pad in range(layout.n_pads):
-        taxels = layout.taxels_of(pad)
-        noise[taxels] = np.maximum(noise[taxels], np.median(noise_counts[taxels]))
+    noise: Values = np.maximum(layout.medians(noise_counts), least_counts)[layout.taxel_pad]
     return noise
 
 

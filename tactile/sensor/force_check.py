@@ -67,31 +67,37 @@ _ADVICE = (
 
 
 class ForceCentres:
-    """Centre of the grip force: the mean of both pads' centres, each weighted by its taxels."""
+    """Centre of the grip force: the mean of both pads' centres, each weighted by its taxels.
+
+    It is measured from the pads' middle in pitches of their taxels, as in the force messages.
+    """
 
     def __init__(self, layout: TaxelLayout) -> None:
-        self._taxels = tuple(layout.taxels_of(pad) for pad in layout.gripping_pads)
-        self._xy_m = tuple(layout.position_m[taxels, :2].copy() for taxels in self._taxels)
+        self._pads = tuple(
+            (taxels, layout.taxel_xy_m[taxels] / (pad.pitch_x_m, pad.pitch_y_m))
+            for taxels in layout.gripping_taxels
+            for pad in (layout.pads[layout.taxel_pad[taxels.start]],)
+        )
 
     def of(self, force_n: Array) -> tuple[float, float] | None:
-        """Return the centre in the grip frame in m; None if a pad has no force.
+        """Return the centre along and across the fingers; None if a pad has no force.
 
         Parameters
         ----------
         force_n : (n_taxels,) float64
             Normal force on each taxel in N.
         """
-        centre_m = np.zeros(2)
-        for taxels, xy_m in zip(self._taxels, self._xy_m, strict=True):
+        centre = np.zeros(2)
+        for taxels, place in self._pads:
             weights = force_n[taxels]
             total_n = float(weights.sum())
             if not total_n > 0.0:
                 return None
-            centre_m += 0.5 * (weights @ xy_m) / total_n
-        return float(centre_m[0]), float(centre_m[1])
+            centre += 0.5 * (weights @ place) / total_n
+        return float(centre[0]), float(centre[1])
 
-    def noise_m(self, force_n: Array, noise_n: Array) -> Array:
-        """Return the standard deviation of that centre along and across the fingers in m, (2,).
+    def noise(self, force_n: Array, noise_n: Array) -> tuple[float, float]:
+        """Return the standard deviation of that centre along and across the fingers.
 
         Parameters
         ----------
@@ -100,12 +106,13 @@ class ForceCentres:
         noise_n : (n_taxels,) float64
             Its standard deviation in N; 0 for a taxel that is left out.
         """
-        variance_m2 = np.zeros(2)
-        for taxels, xy_m in zip(self._taxels, self._xy_m, strict=True):
+        variance = np.zeros(2)
+        for taxels, place in self._pads:
             total_n = float(force_n[taxels].sum())
-            lever_m = xy_m - force_n[taxels] @ xy_m / total_n
-            variance_m2 += 0.25 * (noise_n[taxels] ** 2 @ lever_m**2) / total_n**2
-        return np.sqrt(variance_m2)
+            lever = place - force_n[taxels] @ place / total_n
+            variance += 0.25 * (noise_n[taxels] ** 2 @ lever**2) / total_n**2
+        along, across = np.sqrt(variance)
+        return float(along), float(across)
 
 
 class _TwoSidedSum:

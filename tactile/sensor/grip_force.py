@@ -90,14 +90,12 @@ class GripForce(Generic[Sample]):
             valid=reading.ok,
             at_least=reading.at_least,
             reason=reading.reason,
-            centre_m=self._centres.of(reading.force_n),
+            centre_m=self._in_m(self._centres.of(reading.force_n)),
             centre_noise_m=_FRAME_CENTRE_N_M / max(0.5 * (left + right), _LEAST_FORCE_N),
         )
 
     def _from_messages(self, messages: Sequence[ForceMessage], reading: TactileReading) -> Sample:
         n, newest = len(messages), messages[-1]
-        centre, layout = mean_centre_taxels(messages), self._sensor.layout
-        pad = layout.pads[layout.gripping_pads[0]]
         objections = [text for one in messages if (text := _objection(one.status))]
         reason = reading.reason or next(iter(objections), "")
         at_least = (reading.ok or reading.at_least) and all(
@@ -112,13 +110,19 @@ class GripForce(Generic[Sample]):
             valid=not reason,
             at_least=bool(reason) and at_least,
             reason=reason,
-            centre_m=centre and (centre[0] * pad.pitch_x_m, centre[1] * pad.pitch_y_m),
+            centre_m=self._in_m(mean_centre_taxels(messages)),
             centre_noise_m=_MESSAGE_CENTRE_N_M / grip_n / sqrt(n),
             lag_s=_MESSAGE_S + newest.t_s - sum(message.t_s for message in messages) / n,
             noise_n=self._sensor.scan_noise_n / sqrt(n),
             frame_s=reading.frame.scanned_s,
             frame_n=reading.scan_force_n,
         )
+
+    def _in_m(self, centre: tuple[float, float] | None) -> tuple[float, float] | None:
+        """Return a centre in m that is in pitches of the taxels."""
+        layout = self._sensor.layout
+        pad = layout.pads[layout.gripping_pads[0]]
+        return centre and (centre[0] * pad.pitch_x_m, centre[1] * pad.pitch_y_m)
 
     def take(self) -> list[TactileFrame]:
         """Return the frames since the last call, oldest first."""

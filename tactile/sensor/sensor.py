@@ -150,7 +150,6 @@ class TactileSensor:
         self._hood = Neighbourhood(layout)
         self._frames = deque[Values](maxlen=self._settings.mean_frames)
         self._quality = QualityWatch(self._hood, self._settings)
-        self._grips = tuple(layout.taxels_of(pad) for pad in layout.gripping_pads)
         self._reset()
 
     def _reset(self) -> None:
@@ -165,7 +164,7 @@ class TactileSensor:
         self._failed: FrameTimeout | ForceContradicted | None = None
         self._new_forces: deque[ForceMessage] = deque(maxlen=_MOST_FORCES)
         self._force_bad: Mask | None = None
-        self._taxel_noise_n = (inf, inf)
+        self._pad_noise_n = np.full(self.layout.n_pads, inf)
         self.statistics = SensorStatistics()
         """Counts since the start."""
         self._quality.restart(None)
@@ -234,11 +233,8 @@ class TactileSensor:
         return self._force_bad is not None and bool((self._force_bad == self._quality.bad).all())
 
     def _noise_n(self, active: Mask) -> float:
-        variance_n2 = 0.0
-        for taxels, taxel_n in zip(self._grips, self._taxel_noise_n, strict=True):
-            n = max(_LEAST_TOUCHED, int(np.count_nonzero(active[taxels])))
-            variance_n2 += _EDGE * n * taxel_n * taxel_n
-        return 0.5 * sqrt(variance_n2)
+        touched = np.maximum(self.layout.on_fingers(active), _LEAST_TOUCHED)
+        return 0.5 * sqrt(_EDGE * touched @ self._grip_noise_n2)
 
     def read(self, timeout_s: float = 0.5) -> TactileReading:
         """Wait for a reading newer than this call; FrameTimeout after ``timeout_s``."""
@@ -281,13 +277,10 @@ class TactileSensor:
         """Set the noise, and for force messages of the source the zero and what fails now."""
         self._force_bad = None
         noise_counts = np.maximum(tare.noise_counts, _ROUNDING_COUNTS)
-        first_n, second_n = (
-            float(np.median(self._per_count_n[one] * noise_counts[one])) for one in self._grips
-        )
-        self._taxel_noise_n = (first_n, second_n)
+        self._pad_noise_n = self.layout.medians(self._per_count_n * noise_counts)
         if not self.source.sends_forces:
             return
-        grip = np.concatenate([np.arange(one.start, one.stop) for one in self._grips])
+        grip = np.r_[self.layout.gripping_taxels]
         bad, noise = self._quality.bad, float(np.median(tare.noise_counts[grip]))
         least_counts = _TOUCH_SHARE * self.layout.adc_max
         self._touch_counts = max(_TOUCH_SIGMAS * _SOURCE_GAIN * noise, least_counts)
@@ -299,7 +292,7 @@ class TactileSensor:
             )
         )
         self._new_forces.clear()
-        self._force_check.reset(max(self._taxel_noise_n))
+        self._force_check.reset(sqrt(max(self._grip_noise_n2)))
         self._force_bad = bad
 
     def aim(self, force_n: float, aperture_m: float) -> None:
@@ -378,8 +371,8 @@ class TactileSensor:
             frame=frame,
             tared_counts=tared,
             force_n=force_n,
-            finger_force_n=self._on_fingers(force_n),
-            scan_force_n=self._on_fingers(scan_n),
+            finger_force_n=self.layout.on_fingers(force_n),
+            scan_force_n=self.layout.on_fingers(scan_n),
             active=active,
             saturated=saturated,
             bad=bad,
@@ -391,43 +384,38 @@ class TactileSensor:
     def _compare(
         self, frame: TactileFrame, counts: Values, active: Mask, scan_n: Values, all_n: Values
     ) -> None:
-        pad = self.layout.pads[self.layout.gripping_pads[0]]
         # Noise of each touched taxel of a gripping pad in this frame: a count is more force on a
         # loaded taxel than on an empty one.
         slope = (self.calibration.force_n(counts + 1.0) - all_n) * active / self._per_count_n
-        noise_n = np.zeros(len(counts))
-        for taxels, taxel_n in zip(self._grips, self._taxel_noise_n, strict=True):
-            noise_n[taxels] = taxel_n * slope[taxels]
-        least_n2 = (_LEAST_TOUCHED * taxel_n**2 for taxel_n in self._taxel_noise_n)
-        centre_m = self._centres.of(scan_n)
-        centre, centre_noise = None, (0.0, 0.0)
-        if centre_m is not None:
-            centre = centre_m[0] / pad.pitch_x_m, centre_m[1] / pad.pitch_y_m
-            x_m, y_m = self._centres.noise_m(scan_n, noise_n).tolist()
-            centre_noise = x_m / pad.pitch_x_m, y_m / pad.pitch_y_m
+        noise_n = slope * self._pad_noise_n[self.layout.taxel_pad]
+        variance_n2 = [*self.layout.on_fingers(noise_n**2), *(_LEAST_TOUCHED * self._grip_noise_n2)]
+        centre = self._centres.of(scan_n)
         # A finger without a taxel above the source's threshold may show nothing in the messages.
         mean = self._hood.weighted(counts) / _BINOMIAL
-        light = [float(mean[one].max()) <= self._touch_counts for one in self._grips]
-        force_n = self._on_fingers(scan_n)
+        light = [
+            float(mean[one].max()) <= self._touch_counts for one in self.layout.gripping_taxels
+        ]
+        force_n = self.layout.on_fingers(scan_n)
         self._force_check.compare(
             frame.scanned_s,
             force_n,
-            sqrt(_EDGE * max(*least_n2, *self._on_fingers(noise_n**2))),
+            sqrt(_EDGE * max(variance_n2)),
             hidden_n=[light[n] * force_n[n] for n in (0, 1)],
             centre_taxels=centre,
-            centre_noise_taxels=centre_noise,
-            whole_n=self._on_fingers(all_n),
+            centre_noise_taxels=(0, 0) if centre is None else self._centres.noise(scan_n, noise_n),
+            whole_n=self.layout.on_fingers(all_n),
         )
+
+    @property
+    def _grip_noise_n2(self) -> NDArray[np.float64]:
+        """Variance in N² of a taxel of each gripping pad, (2,)."""
+        noise_n2: NDArray[np.float64] = self._pad_noise_n[list(self.layout.gripping_pads)] ** 2
+        return noise_n2
 
     @property
     def _mean_full(self) -> bool:
         """Whether the mean is over all its frames."""
         return len(self._frames) == self._frames.maxlen
-
-    def _on_fingers(self, taxels_n: Values) -> tuple[float, float]:
-        """Return the sum over the gripping pad of each finger."""
-        first_n, second_n = (float(taxels_n[taxels].sum()) for taxels in self._grips)
-        return first_n, second_n
 
     def _objection(
         self, frame: TactileFrame, full_scale: str, bad: Mask, void: Mask, tared: Values
@@ -441,14 +429,14 @@ class TactileSensor:
             return "too few frames since the tare or the last gap"
         if full_scale:
             return full_scale
-        for finger, taxels in enumerate(self._grips):
+        for finger, taxels in enumerate(self.layout.gripping_taxels):
             n_bad = int(np.count_nonzero(bad[taxels]))
             if too_many_bad(n_bad, taxels.stop - taxels.start, self._settings.bad_share):
                 return f"{n_bad} taxels of finger {finger} bad"
         return self._quality.drift_outside(tared, void)
 
     def _full_scale(self, saturated: Mask) -> str:
-        for finger, taxels in enumerate(self._grips):
+        for finger, taxels in enumerate(self.layout.gripping_taxels):
             if n_full := np.count_nonzero(saturated[taxels]):
                 return f"{n_full} taxels of finger {finger} saturated: press with less force"
         return ""

@@ -4,13 +4,13 @@ A hand on the sensor during the tare makes every later force wrong. So the zero 
 sign of a touch, and it is never taken or corrected automatically.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile.errors import TareRefused
-from tactile.layout import TaxelLayout
 from tactile.sensor.filters import Mask, Neighbourhood, Values, fill_bad
 from tactile.sensor.settings import SensorSettings
 
@@ -24,26 +24,22 @@ _NOISY_SHARE = 0.5
 class TaxelHealth:
     """Health of each taxel, judged from untouched frames."""
 
-    dead: Mask
-    """(n_taxels,) bool: constantly 0 while the others show noise."""
-    stuck: Mask
-    """(n_taxels,) bool: constant at another value while the others show noise."""
-    saturated: Mask
-    """(n_taxels,) bool: constantly at full scale, independent of the others."""
+    kinds: Mapping[str, Mask]
+    """Taxels that do not measure by kind, (n_taxels,) bool each: ``dead``, constantly 0 while
+    others show noise; ``stuck``, constant at another value meanwhile; ``at full scale``,
+    constantly, independent of the others."""
     noisy: bool
     """bool: whether the sensor shows noise; without it dead and stuck taxels cannot be found."""
 
     @property
     def bad(self) -> Mask:
         """Taxels that do not measure, (n_taxels,) bool."""
-        return self.dead | self.stuck | self.saturated
+        bad: Mask = np.logical_or.reduce(list(self.kinds.values()))
+        return bad
 
     def summary(self) -> str:
         """Return the numbers of bad taxels in words."""
-        return (
-            f"{np.count_nonzero(self.dead)} dead, {np.count_nonzero(self.stuck)} stuck, "
-            f"{np.count_nonzero(self.saturated)} saturated"
-        )
+        return ", ".join(f"{np.count_nonzero(mask)} {kind}" for kind, mask in self.kinds.items())
 
 
 def assess_health(frames: NDArray[np.uint16], adc_max: int) -> TaxelHealth:
@@ -61,12 +57,10 @@ def assess_health(frames: NDArray[np.uint16], adc_max: int) -> TaxelHealth:
     low, high = frames.min(axis=0), frames.max(axis=0)
     constant = low == high
     noisy = bool(np.count_nonzero(constant) <= _NOISY_SHARE * len(constant))
-    saturated = low >= adc_max
-    flat = constant & ~saturated if noisy else np.zeros_like(constant)
-    dead, stuck = flat & (low == 0), flat & (low > 0)
-    for mask in (dead, stuck, saturated):
-        mask.setflags(write=False)
-    return TaxelHealth(dead=dead, stuck=stuck, saturated=saturated, noisy=noisy)
+    full = low >= adc_max
+    flat = constant & ~full if noisy else np.zeros_like(constant)
+    kinds = {"dead": flat & (low == 0), "stuck": flat & (low > 0), "at full scale": full}
+    return TaxelHealth(kinds=kinds, noisy=noisy)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -105,60 +99,48 @@ def compute_tare(
                 "check its cable, or replace it"
             )
     offset = fill_bad(hood, frames.mean(axis=0, dtype=np.float64), health.bad)
-    smooth = hood.mean(offset)
-    rest_of_pad = np.array([np.median(smooth[layout.taxels_of(p)]) for p in range(layout.n_pads)])
+    smooth, pads = hood.mean(offset), layout.medians(offset)
+    grip = list(layout.gripping_pads)
+    others, pressed = np.delete(pads, grip), np.zeros(layout.n_pads)
+    if len(others):
+        pressed[grip] = pads[grip] - np.median(others)
     half = len(frames) // 2
     change = frames[half:].mean(axis=0) - frames[:half].mean(axis=0)
     for counts, share, text in (
         (
             offset,
             limits.rest_share,
-            "{place} reads {counts:.1f} counts, allowed are {limit:.1f} for an untouched taxel: "
-            "clear the pads and try again",
+            "pad {place} reads {counts:.1f} counts, allowed are {limit:.1f} for an untouched "
+            "taxel: clear the pads and try again",
         ),
         (
-            smooth - rest_of_pad[layout.taxel_pad],
+            smooth - layout.medians(smooth)[layout.taxel_pad],
             limits.bump_share,
-            "{place} reads {counts:.1f} counts more than the rest of its pad, allowed are "
+            "pad {place} reads {counts:.1f} counts more than the rest of its pad, allowed are "
             "{limit:.1f}: something touches the pad; clear it and try again",
         ),
         (
             np.abs(hood.mean(fill_bad(hood, change, health.bad))),
             limits.moved_share,
-            "the counts of {place} moved by {counts:.1f} while the zero was taken, allowed are "
+            "the counts of pad {place} moved by {counts:.1f} while the zero was taken, allowed are "
             "{limit:.1f}: keep the fingers still and untouched, let the sensor warm up, and try "
             "again",
+        ),
+        (
+            pressed[layout.taxel_pad],
+            limits.pad_share,
+            "pad {pad} reads {counts:.1f} counts more than the pads that nothing grips, allowed "
+            "are {limit:.1f}: something presses on all of it; clear it and try again",
         ),
     ):
         worst, limit = int(np.argmax(counts)), share * layout.adc_max
         if counts[worst] > limit:
-            place = _place(layout, worst)
-            raise TareRefused(text.format(place=place, counts=counts[worst], limit=limit))
-    _refuse_pressed_pad(layout, offset, limits)
+            pad = layout.pads[layout.taxel_pad[worst]].name
+            place = layout.place(worst)
+            raise TareRefused(text.format(pad=pad, place=place, counts=counts[worst], limit=limit))
     noise = frames.std(axis=0, dtype=np.float64)
     for array in (offset, noise):
         array.setflags(write=False)
     return TareResult(
         offset_counts=offset, noise_counts=noise, health=health, n_frames=len(frames), t_s=t_s
     )
-
-
-def _place(layout: TaxelLayout, taxel: int) -> str:
-    number = int(layout.taxel_pad[taxel])
-    pad = layout.pads[number]
-    row, column = divmod(taxel - layout.taxels_of(number).start, pad.columns)
-    return f"pad {pad.name}, row {row}, column {column}"
-
-
-def _refuse_pressed_pad(layout: TaxelLayout, offset: Values, limits: SensorSettings) -> None:
-    pads = np.array([np.median(offset[layout.taxels_of(pad)]) for pad in range(layout.n_pads)])
-    others = np.delete(pads, layout.gripping_pads)
-    limit = limits.pad_share * layout.adc_max
-    for pad in layout.gripping_pads if len(others) else ():
-        excess = float(pads[pad] - np.median(others))
-        if excess > limit:
-            raise TareRefused(
-                f"pad {layout.pads[pad].name} reads {excess:.1f} counts more than the pads that "
-                f"nothing grips, allowed are {limit:.1f}: something presses on all of it; clear "
-                "it and try again"
-            )

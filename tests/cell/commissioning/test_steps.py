@@ -362,7 +362,7 @@ def test_a_unit_is_found_and_set_up_and_named(make_stand: MakeStand) -> None:
         "tactile.mounting": [],
     }
     assert not script.asked
-    assert [write.where for write in script.writes] == ["control unit, node 17"] * 5
+    assert [write.where for write in script.writes] == ["control unit, node 17"] * 6
     assert "13 x 6" not in script.text
     assert "force messages" in finding.lines[-1]
 

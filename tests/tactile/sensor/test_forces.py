@@ -40,18 +40,11 @@ class Forces(Frames):
     def set_zero(self, zero: PadZero) -> None:
         self.zeros.append(zero)
 
-    def centre_taxels(self) -> tuple[float, float] | None:
-        pad = LAYOUT.pads[LAYOUT.gripping_pads[0]]
-        centre_m = ForceCentres(LAYOUT).of(CALIBRATION.force_n(self.base))
-        if centre_m is None:
-            return None
-        return centre_m[0] / pad.pitch_x_m, centre_m[1] / pad.pitch_y_m
-
     def new_forces(self) -> tuple[ForceMessage, ...]:
         messages = []
         while self.due_s <= self.now_s:
             last = message(self.due_s, *self.force_n)
-            centre = self.centre_taxels()
+            centre = ForceCentres(LAYOUT).of(CALIBRATION.force_n(self.base))
             messages.append(replace(last, status=self.status, centre_taxels=centre))
             self.due_s += 0.003
         return tuple(messages)
@@ -181,9 +174,9 @@ def test_the_centre_is_the_mean_place_weighted_by_force() -> None:
     assert ForceCentres(LAYOUT).of(force_n) is None
     force_n[second[5]] = 0.2
     centres = ForceCentres(LAYOUT).of(force_n)
-    position_m = LAYOUT.position_m[:, :2]
-    one_m = 0.25 * position_m[first[0]] + 0.75 * position_m[first[1]]
-    assert centres == pytest.approx(tuple(0.5 * (one_m + position_m[second[5]])))
+    place = LAYOUT.taxel_xy_m / (55e-3 / 16, 5e-3)
+    one = 0.25 * place[first[0]] + 0.75 * place[first[1]]
+    assert centres == pytest.approx(tuple(0.5 * (one + place[second[5]])))
     # Pads that do not grip have no say.
     other = np.flatnonzero(~np.isin(LAYOUT.taxel_pad, LAYOUT.gripping_pads))
     force_n[other] = 9.0
