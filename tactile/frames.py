@@ -27,7 +27,7 @@ import binascii
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,15 +99,13 @@ def crc16_ccitt(data: bytes) -> int:
     return binascii.crc_hqx(data, CRC_START)
 
 
-class _Burst:
-    """The messages of one frame so far, by index."""
+class _Burst(NamedTuple):
+    """The messages of one frame so far."""
 
-    def __init__(self, phase: int, n_messages: int, begun_s: float) -> None:
-        self.phase = phase
-        self.begun_s = begun_s
-        self.parts: list[bytes | None] = [None] * n_messages
-        self.missing = n_messages
-        self.next_index = 0
+    phase: int
+    begun_s: float
+    parts: dict[int, bytes]
+    """Messages by index, in the order of arrival."""
 
 
 class FrameAssembler:
@@ -149,7 +147,7 @@ class FrameAssembler:
             return None
         phase = head >> PHASE_SHIFT
         burst = self._open.get(phase)
-        part = None if burst is None else burst.parts[index]
+        part = None if burst is None else burst.parts.get(index)
         if part == data:
             self.counts.duplicate += 1
             return None
@@ -157,22 +155,22 @@ class FrameAssembler:
             # Same phase, other content: four scans later. The two must not share messages.
             left_open = None if burst is self._newest else self._newest
             self._give_up_all_but(left_open)
-            burst = self._newest = self._open[phase] = _Burst(phase, self._n, t_s)
+            burst = self._newest = self._open[phase] = _Burst(phase, t_s, {})
+        before = next(reversed(burst.parts), -1)
+        self.counts.reordered += index < before or burst is not self._newest
         burst.parts[index] = bytes(data)
-        self.counts.reordered += index < burst.next_index or burst is not self._newest
-        burst.next_index = max(burst.next_index, index + 1)
-        burst.missing -= 1
-        return None if burst.missing else self._finish(burst, t_s)
+        return self._finish(burst, t_s) if len(burst.parts) == self._n else None
 
     def _give_up_all_but(self, left_open: _Burst | None) -> None:
         """Close all bursts except one; those with missing messages are torn."""
-        torn = (burst for burst in self._open.values() if burst is not left_open and burst.missing)
-        self.counts.torn += sum(1 for _ in torn)
+        closed = (burst for burst in self._open.values() if burst is not left_open)
+        self.counts.torn += sum(len(burst.parts) < self._n for burst in closed)
         self._open = {} if left_open is None else {left_open.phase: left_open}
 
     def _finish(self, burst: _Burst, t_s: float) -> TactileFrame | None:
         header = self._format.header_bytes
-        whole = np.frombuffer(b"".join(filter(None, burst.parts)), dtype=np.uint8)
+        in_order = b"".join(burst.parts[index] for index in range(self._n))
+        whole = np.frombuffer(in_order, dtype=np.uint8)
         payload = whole.reshape(self._n, MESSAGE_BYTES)[:, header:].tobytes()
         if burst is self._newest:
             # The previous burst is over. Another message of its phase is a late duplicate. After
@@ -222,20 +220,13 @@ _CRC8_POLYNOMIAL, _CRC8_START, _CRC8_END = 0x11D, 0xFF, 0xFF
 """CRC-8 of SAE J1850 (AUTOSAR, Specification of CRC Routines, 7.2.1.1)."""
 
 
-def _divided(byte: int) -> int:
-    for _ in range(8):
-        byte = byte << 1 ^ (_CRC8_POLYNOMIAL if byte & 0x80 else 0)
-    return byte
-
-
-_CRC8_TABLE = bytes(map(_divided, range(256)))
-
-
 def crc8(data: bytes | bytearray) -> int:
     """Return the CRC-8 of SAE J1850."""
     crc = _CRC8_START
     for byte in data:
-        crc = _CRC8_TABLE[crc ^ byte]
+        crc ^= byte
+        for _ in range(8):
+            crc = crc << 1 ^ (_CRC8_POLYNOMIAL if crc & 0x80 else 0)
     return crc ^ _CRC8_END
 
 

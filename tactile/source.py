@@ -153,7 +153,7 @@ class FrameStatistics:
     duplicate: int = 0
     """Messages received twice, dropped."""
     reordered: int = 0
-    """Messages received after one with a higher index, or after a newer frame had begun; used."""
+    """Messages received just after one with a higher index, or in a newer frame; used."""
     stale: int = 0
     """Whole frames that were not newer than the last one handed out, dropped."""
     short: int = 0

@@ -157,7 +157,6 @@ class ForceCheck:
         *,
         centre_taxels: Pair | None = None,
         centre_noise_taxels: Pair = (0.0, 0.0),
-        hidden_n: Pair = (0.0, 0.0),
         whole_n: Pair = (0.0, 0.0),
     ) -> None:
         """Compare a frame with the messages around its scan.
@@ -170,13 +169,11 @@ class ForceCheck:
         scanned_s
             Monotonic time of the scan of the frame in s.
         force_n, noise_n
-            Force on each finger in N, and the standard deviation of each in N.
+            Force on each finger in N, 0 for a finger without a taxel above the threshold of the
+            source, and the standard deviation of each in N.
         centre_taxels, centre_noise_taxels
             Centre of both pads in pitches, None without a touch, and its standard deviation by the
             noise of the taxels.
-        hidden_n
-            Part of the force in N that the messages may leave out: all of a finger without a taxel
-            above the threshold of the source.
         whole_n
             Force on all taxels of each finger in N. With a load spread over a pad each taxel may be
             below the threshold.
@@ -201,7 +198,6 @@ class ForceCheck:
             below_n = above_n + _BELOW_SIGMAS * self._taxel_noise_n
             if not frame_n[n]:
                 below_n = max(below_n, _UNSEEN_N, _UNSEEN_SIGMAS * self._taxel_noise_n)
-            above_n = max(above_n, hidden_n[n])
             apart_n = frame_n[n] - message_n[n]
             if limit_n := finger.limit_exceeded(apart_n, above_n, below_n, noise_n):
                 raise ForceContradicted(

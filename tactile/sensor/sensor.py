@@ -392,15 +392,12 @@ class TactileSensor:
         centre = self._centres.of(scan_n)
         # A finger without a taxel above the source's threshold may show nothing in the messages.
         mean = self._hood.weighted(counts) / _BINOMIAL
-        light = [
-            float(mean[one].max()) <= self._touch_counts for one in self.layout.gripping_taxels
-        ]
-        force_n = self.layout.on_fingers(scan_n)
+        shown = [mean[one].max() > self._touch_counts for one in self.layout.gripping_taxels]
+        first_n, second_n = self.layout.on_fingers(scan_n)
         self._force_check.compare(
             frame.scanned_s,
-            force_n,
+            (shown[0] * first_n, shown[1] * second_n),
             sqrt(_EDGE * max(variance_n2)),
-            hidden_n=[light[n] * force_n[n] for n in (0, 1)],
             centre_taxels=centre,
             centre_noise_taxels=(0, 0) if centre is None else self._centres.noise(scan_n, noise_n),
             whole_n=self.layout.on_fingers(all_n),

@@ -223,7 +223,7 @@ def test_a_light_touch_of_a_quiet_pad_may_lack_in_the_messages(*, hidden: bool) 
         for n in range(30):
             for one in around(0.02 * n, 0.0, 0.0):
                 check.add(one)
-            check.compare(0.02 * n, force_n, 0.01, hidden_n=force_n if hidden else (0.0, 0.0))
+            check.compare(0.02 * n, (0.0, 0.0) if hidden else force_n, 0.01, whole_n=force_n)
 
 
 def frames_until_fault(check: ForceCheck, message_n: float, frame_n: float, **more: Any) -> int:
