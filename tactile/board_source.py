@@ -15,6 +15,7 @@ from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.source import (
     COUNTER_MASK,
     Arrivals,
+    FrameStatistics,
     FrameStatus,
     LatchingSource,
     PadZero,
@@ -25,6 +26,9 @@ from tactile.source import (
 
 _LOSS_FRAMES = 50
 """Number of newest frames for the loss rate."""
+_LIVELY_FRAMES, _LIVELY_SHARE = 25, 0.9
+"""Newest frames, and the share of them that must differ from the previous one. Then an equal frame
+is a repeat, because the noise of many taxels does not repeat itself. [chosen]"""
 _WAIT_SHARE = 0.1
 """Share of the period between two checks for the first frame."""
 BoardSamples = tuple[float, float, NDArray[np.uint16]]
@@ -33,7 +37,7 @@ BoardSamples = tuple[float, float, NDArray[np.uint16]]
 
 
 class Board:
-    """One board of a source: the time of its newest frame, and the share of damaged frames."""
+    """One board of a source: its newest frames, and the share of damaged ones."""
 
     def __init__(self, name: str, n_frames: int = _LOSS_FRAMES) -> None:
         self.name = name
@@ -41,18 +45,29 @@ class Board:
         """Whether each of its newest frames was whole."""
         self.waiting: list[BoardSamples] = []
         """Its new frames that wait for those of the other boards."""
-        self.restart(0.0)
+        self._changes: deque[bool] = deque(maxlen=_LIVELY_FRAMES)
+        self.restart(0.0, FrameStatistics())
 
-    def restart(self, now_s: float) -> None:
-        """Discard all frames at the start of the source."""
+    def restart(self, now_s: float, counts: FrameStatistics) -> None:
+        """Discard all frames at the start of the source, whose counts are updated from now on."""
         self.sound.clear()
         self.waiting.clear()
-        self.last_s, self.seen = now_s, False
+        self._changes.clear()
+        self.last_s, self.seen, self.counts = now_s, False, counts
+        self._last, self._repeated = np.zeros(0, dtype=np.uint16), False
 
     def saw(self, begun_s: float, t_s: float, samples: NDArray[np.uint16]) -> None:
-        """Add a whole and new frame."""
+        """Add a whole frame; a repeated one is dropped and counted."""
+        same = np.array_equal(samples, self._last)
+        lively = sum(self._changes) >= _LIVELY_SHARE * _LIVELY_FRAMES
+        # A pad at an end of its scale, or without supply, has no noise.
+        self._repeated = same and lively and bool((samples != samples[0]).any())
+        if self._repeated:
+            self.counts.duplicate += 1
+            return
+        self._changes.append(not same)
         self.sound.append(True)
-        self.last_s, self.seen = t_s, True
+        self._last, self.last_s, self.seen = samples, t_s, True
         self.waiting.append((begun_s, t_s, samples))
 
     @property
@@ -64,7 +79,7 @@ class Board:
     @property
     def trouble(self) -> str:
         """Reason of its silence and next step."""
-        return "check its cable and supply"
+        return "it repeats one frame" if self._repeated else "check its cable and supply"
 
 
 _Board = TypeVar("_Board", bound=Board)
@@ -161,7 +176,7 @@ class PolledBoards(LatchingSource, ABC, Generic[_Board]):
         self._counts = SourceStatistics()
         began_s = self.clock.monotonic()
         for board in self._boards:
-            board.restart(began_s)
+            board.restart(began_s, self._counts.frames)
         try:
             with self._line_of(self._name):
                 self.open()
@@ -256,7 +271,6 @@ class BoardSource(PolledBoards[Board]):
     def __init__(self, name: str, **options: Any) -> None:
         self._board = Board(name)
         super().__init__(name, (self._board,), **options)
-        self._last = np.zeros(0, dtype=np.uint16)
 
     @abstractmethod
     def receive(self, now_s: float) -> Sequence[tuple[float, NDArray[np.uint16]]]:
@@ -278,10 +292,5 @@ class BoardSource(PolledBoards[Board]):
         with self._line_of(self._name):
             received = self.receive(now_s)
         for begun_s, samples in received:
-            # Noise does not repeat itself.
-            if self._board.seen and np.array_equal(samples, self._last):
-                self._counts.frames.duplicate += 1
-                continue
-            self._last = samples
             self._board.saw(begun_s, now_s, samples)
         return self._new_frames()

@@ -6,7 +6,6 @@ no length, and ``AA 55`` may occur inside. So an offset counts only if each fram
 there.
 """
 
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -33,9 +32,6 @@ _READ_BYTES = 65536
 _STALL_PERIODS = 6.0
 """Periods after which unread bytes are dropped: a port keeps 4,096 bytes, without their times.
 [chosen]"""
-_LIVELY_FRAMES, _LIVELY_SHARE = 25, 0.9
-"""Newest frames, and the share of them that must differ from the previous one. Then an equal frame
-is a repeat, because the noise of hundreds of taxels does not repeat itself. [chosen]"""
 
 
 class Profile(NamedTuple):
@@ -160,25 +156,19 @@ class _Board(Board):
     def __init__(self, finger: int, profile: Profile, *, rows_along: bool) -> None:
         self.stream = FrameStream(profile)
         self._shape, self._rows_along = profile, rows_along
-        self._changes: deque[bool] = deque(maxlen=_LIVELY_FRAMES)
         super().__init__(f"the board of finger {finger}")
 
-    def restart(self, now_s: float) -> None:
+    def restart(self, now_s: float, counts: FrameStatistics) -> None:
         """Discard all frames at the start of the source."""
-        super().restart(now_s)
+        super().restart(now_s, counts)
         self.stream.reset()
-        self._changes.clear()
-        self._samples, self._repeated = b"", False
 
     @property
     def trouble(self) -> str:
         """Reason of its silence and next step."""
-        why = "it repeats one frame" if self._repeated else self.stream.trouble
-        return why or super().trouble
+        return self.stream.trouble or super().trouble
 
-    def receive(
-        self, line: BoardLine, now_s: float, statistics: FrameStatistics, *, stalled: bool
-    ) -> None:
+    def receive(self, line: BoardLine, now_s: float, *, stalled: bool) -> None:
         """Receive the available bytes of its line."""
         data = b""
         while piece := line.read(_READ_BYTES, 0.0):
@@ -192,25 +182,13 @@ class _Board(Board):
         torn = self.stream.torn
         frames = self.stream.feed(data, now_s)
         if self.stream.torn > torn:
-            statistics.torn += 1
+            self.counts.torn += 1
             self.sound.append(False)
         for t_s, samples in frames:
-            self._take(t_s, samples, statistics)
-
-    def _take(self, t_s: float, samples: bytes, statistics: FrameStatistics) -> None:
-        same = samples == self._samples
-        lively = sum(self._changes) >= _LIVELY_SHARE * _LIVELY_FRAMES
-        # A pad at an end of its scale, or without supply, has no noise.
-        self._repeated = same and lively and len(set(samples)) > 1
-        if self._repeated:
-            statistics.duplicate += 1
-            return
-        self._changes.append(not same)
-        self._samples = samples
-        matrix = np.frombuffer(samples, dtype=np.uint8).reshape(self._shape)
-        pad = (matrix if self._rows_along else matrix.T).astype(np.uint16).ravel()
-        # A board scans and sends without a pause: the mean of its taxels is half a period older.
-        self.saw(t_s - 0.5 * PERIOD_S, t_s, pad)
+            matrix = np.frombuffer(samples, dtype=np.uint8).reshape(self._shape)
+            pad = (matrix if self._rows_along else matrix.T).astype(np.uint16).ravel()
+            # A board scans and sends without a pause: its mean taxel is half a period older.
+            self.saw(t_s - 0.5 * PERIOD_S, t_s, pad)
 
 
 def check_layout(layout: TaxelLayout, profile: Profile, *, rows_along: bool) -> None:
@@ -274,7 +252,7 @@ class FlexiTacSource(PolledBoards[_Board]):
         self._polled_s = now_s
         for board, line in zip(self._boards, self._lines, strict=True):
             with self._line_of(board.name):
-                board.receive(line, now_s, self._counts.frames, stalled=stalled)
+                board.receive(line, now_s, stalled=stalled)
         return self._new_frames()
 
     def close(self) -> None:

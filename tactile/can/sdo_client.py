@@ -3,7 +3,6 @@
 import logging
 from collections.abc import Callable
 from functools import partial
-from itertools import islice
 from typing import Any
 
 import can
@@ -17,8 +16,6 @@ from tactile.clock import Clock
 from tactile.errors import NodeMissing, ObjectRefused
 
 _SDO_BYTES = 8
-_SEGMENT_BYTES = 7
-"""Data bytes of a segment."""
 
 _ADVICE = dict.fromkeys(
     (0x0503, 0x0504, 0x060A),
@@ -28,8 +25,9 @@ _UPDATE = "the unit's firmware does not fit this software's EDS; update the olde
 """Next step by the upper half of an abort code, and that for the other codes."""
 _ATTEMPTS = 3
 """Number of attempts of a transfer without a response."""
-_MOST_SEGMENTS = 5000
-"""More than any object has. The longest one is the table of a control unit: 518 bytes."""
+_MOST_RESPONSES = 5000
+"""More than any transfer needs. The longest object, the table of a control unit, has 518 bytes, with
+7 in a response. A server that never ends a transfer sends more."""
 COB_SDO_RESPONSE = 0x580
 COB_SDO_REQUEST = 0x600
 """Identifiers of the pre-defined connection set (CiA 301, 7.3.5), without the node-ID."""
@@ -82,7 +80,7 @@ class PolledSdoClient(SdoClient):
         self._service = service
         self._wait = wait
         self._timeout_s = timeout_s
-        self._requests = self._answers = 0
+        self._requests = self._answers = self._responses = 0
 
     def __getitem__(self, index: int | str) -> Any:
         """Return an object of the node, by its name in the EDS."""
@@ -118,9 +116,8 @@ class PolledSdoClient(SdoClient):
 
     def upload(self, index: int, subindex: int) -> bytes:
         """Return the bytes of an object."""
-        data: bytes = self._repeated(
-            "read", index, subindex, partial(self._upload, index, subindex)
-        )
+        read = partial(self._upload, index, subindex)
+        data: bytes = self._repeated("read", index, subindex, read)
         return data
 
     def download(self, index: int, subindex: int, data: bytes, force_segment: bool = False) -> None:
@@ -129,26 +126,13 @@ class PolledSdoClient(SdoClient):
         self._repeated("write", index, subindex, write)
 
     def _upload(self, index: int, subindex: int) -> bytes:
-        """Return an object's bytes; SdoCommunicationError if it is too long or incomplete.
-
-        canopen's own method reads segments as long as the server announces more of them.
-        """
-        with self.open(index, subindex, buffering=0) as stream:  # type: ignore[no-untyped-call]
-            segments = iter(partial(stream.read, _SEGMENT_BYTES), b"")
-            data = b"".join(islice(segments, _MOST_SEGMENTS))
-            announced = len(data) if stream.size is None else stream.size
-        if len(data) >= _MOST_SEGMENTS * _SEGMENT_BYTES:
-            raise SdoCommunicationError(f"{len(data)} bytes or more came: check the EDS")
-        if len(data) != announced:
-            raise SdoCommunicationError(f"{len(data)} bytes came, {announced} were announced")
+        """Return an object's bytes; SdoCommunicationError if it is incomplete."""
+        data: bytes = super().upload(index, subindex)
         variable = self.od.get_variable(index, subindex)
-        if variable is None or not variable.fixed_size:
-            return data
-        length = len(variable) // 8
+        length = len(variable) // 8 if variable is not None and variable.fixed_size else 0
         if len(data) < length:
             raise SdoCommunicationError(f"{len(data)} bytes came, the object has {length}")
-        # Units may send four bytes for a shorter object.
-        return data[:length]
+        return data
 
     def on_response(self, can_id: int, data: bytes | bytearray, timestamp: float) -> None:
         """Process a message of the SDO server."""
@@ -171,6 +155,9 @@ class PolledSdoClient(SdoClient):
         """Wait for a response; SdoNotAnswered after the time-out; a short one is refused."""
         if not self.until(lambda: not self.responses.empty(), self._timeout_s):
             raise SdoNotAnswered(f"no SDO response within {self._timeout_s:g} s")
+        self._responses += 1
+        if self._responses > _MOST_RESPONSES:
+            raise SdoCommunicationError(f"it does not end after {_MOST_RESPONSES} responses")
         response: bytes = self.responses.get_nowait()
         if len(response) != _SDO_BYTES:
             raise SdoCommunicationError(
@@ -184,6 +171,7 @@ class PolledSdoClient(SdoClient):
         what = f"{verb} of object 0x{index:04X}:{subindex:02X} of {self.name}"
         failure: Exception | None = None
         for _ in range(_ATTEMPTS):
+            self._responses = 0
             try:
                 return transfer()
             except SdoCommunicationError as error:

@@ -40,10 +40,6 @@ mean of 25 frames differed by up to 0.13 N at 6 N and 0.26 N at 14 N."""
 _BELOW_SIGMAS = 13.0
 """Further allowed deficit of the frames in standard deviations of one taxel, because they leave out
 taxels below a threshold. At 0.045 N of noise six frames had a deficit of 0.65 N."""
-_UNSEEN_N, _UNSEEN_SIGMAS = 1.4, 30.0
-"""Largest force in N that a frame may miss, or in standard deviations of one taxel if
-that is more: then all taxels are below the threshold. Six frames in a row showed nothing at 0.8 N,
-with 0.1 N of noise at 1.2 N."""
 _CENTRE_TAXELS = 0.3
 """Distance of the centres in pitches that is allowed without noise."""
 _CENTRE_N_TAXELS = 1.0
@@ -196,8 +192,6 @@ class ForceCheck:
             changed_n, most_n = abs(last_n[n] - first_n[n]), max(frame_n[n], message_n[n])
             above_n = _LEAST_N + _LEAST_SHARE * most_n + changed_n
             below_n = above_n + _BELOW_SIGMAS * self._taxel_noise_n
-            if not frame_n[n]:
-                below_n = max(below_n, _UNSEEN_N, _UNSEEN_SIGMAS * self._taxel_noise_n)
             apart_n = frame_n[n] - message_n[n]
             if limit_n := finger.limit_exceeded(apart_n, above_n, below_n, noise_n):
                 raise ForceContradicted(

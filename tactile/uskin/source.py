@@ -16,7 +16,7 @@ from tactile.can.bus import interface_failed, message_source, of_another_kind, r
 from tactile.clock import Clock
 from tactile.errors import BusOff, DuplicateNode
 from tactile.layout import TaxelLayout
-from tactile.source import TactileFrame
+from tactile.source import FrameStatistics, TactileFrame
 from tactile.uskin.messages import FULL_SCALE, PERIOD_S, START, BoardIds, check_layout, samples
 
 _GAP_SHARE = 0.3
@@ -41,9 +41,9 @@ class _Board(Board):
         self._place = {identifier: n for n, identifier in enumerate(ids.taxels)}
         super().__init__(f"the board of finger {finger} (start {ids.start:X}h)", _CYCLES)
 
-    def restart(self, now_s: float) -> None:
+    def restart(self, now_s: float, counts: FrameStatistics) -> None:
         """Discard all samples."""
-        super().restart(now_s)
+        super().restart(now_s, counts)
         self._xyz: dict[int, tuple[int, int, int]] = {}
         self._begun_s = self._message_s = now_s
         self._ends_s: deque[float] = deque(maxlen=_CYCLES)
@@ -53,12 +53,12 @@ class _Board(Board):
         """Reason of its silence and next step."""
         return f"{super().trouble}; a board that restarted sends after the next start"
 
-    def take(self, identifier: int, xyz: tuple[int, int, int], t_s: float) -> bool:
-        """Add the samples of a taxel; return whether it ended a cycle without another taxel."""
+    def take(self, identifier: int, xyz: tuple[int, int, int], t_s: float) -> None:
+        """Add the samples of a taxel."""
         place = self._place[identifier]
         gap_s, self._message_s = t_s - self._message_s, t_s
-        torn = place in self._xyz or (bool(self._xyz) and gap_s > _GAP_SHARE * PERIOD_S)
-        if torn:
+        if place in self._xyz or (self._xyz and gap_s > _GAP_SHARE * PERIOD_S):
+            self.counts.torn += 1
             self._ends_s.append(t_s)
             self.sound.append(False)
             self._xyz.clear()
@@ -73,7 +73,6 @@ class _Board(Board):
             self._ends_s.append(t_s)
             self.saw(self._begun_s, t_s, cycle)
             self._xyz.clear()
-        return torn
 
     @property
     def loss_rate(self) -> float:
@@ -174,7 +173,7 @@ class UskinSource(PolledBoards[_Board]):
             if xyz is None:
                 self._counts.malformed += 1
                 continue
-            self._counts.frames.torn += board.take(message.arbitration_id, xyz, t_s)
+            board.take(message.arbitration_id, xyz, t_s)
             frames += self._new_frames()
         for board in self._boards:
             if board.doubled:

@@ -136,12 +136,12 @@ def test_a_unit_that_does_not_come_up_alone_is_a_missing_node(idle, spoil, says)
 @pytest.mark.parametrize(
     ("size", "segments", "says"),
     [
-        (0, ["00", "10"] * 7 + ["00"], "105 bytes or more came"),
-        (20, ["0d"], "1 bytes came, 20 were"),
+        (0, ["00", "10"] * 7 + ["00"], "does not end after 15 responses"),
+        (20, ["0d"], "1 bytes came, the object has 4"),
     ],
 )
 def test_an_object_without_its_end_is_given_up(idle, monkeypatch, size, segments, says) -> None:
-    monkeypatch.setattr("tactile.can.sdo_client._MOST_SEGMENTS", 15)
+    monkeypatch.setattr("tactile.can.sdo_client._MOST_RESPONSES", 15)
     heads = [struct.pack("<BHBL", 0x41, 0x1018, 1, size), *map(bytes.fromhex, segments)]
     answers = itertools.cycle(head.ljust(8, b"\0") for head in heads)
     idle.alter(0x580 + NODE, lambda _burst: [next(answers)])

@@ -249,7 +249,6 @@ def frames_until_fault(check: ForceCheck, message_n: float, frame_n: float, **mo
         (2.6, 3.0, 0.02, 0.15, 12),
         (9.6, 6.0, 0.02, 0.2, 2),  # another table
         (1.8, 0.0, 0.02, 0.2, 12),
-        (1.2, 0.0, 0.045, 0.3, 100),  # below the frames' threshold
         (1.0, 0.4, 0.045, 0.3, 100),
         (5.8, 6.0, 0.02, 0.15, 100),  # no more than is allowed
     ],
