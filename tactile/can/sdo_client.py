@@ -26,8 +26,8 @@ _UPDATE = "the unit's firmware does not fit this software's EDS; update the olde
 _ATTEMPTS = 3
 """Number of attempts of a transfer without a response."""
 _MOST_RESPONSES = 5000
-"""More than any transfer needs. The longest object, the table of a control unit, has 518 bytes, with
-7 in a response. A server that never ends a transfer sends more."""
+"""More than any transfer needs. The longest object, the table of a control unit, takes 75. A server
+that never ends a transfer sends more."""
 COB_SDO_RESPONSE = 0x580
 COB_SDO_REQUEST = 0x600
 """Identifiers of the pre-defined connection set (CiA 301, 7.3.5), without the node-ID."""
