@@ -230,13 +230,11 @@ def crc8(data: bytes | bytearray) -> int:
     return crc ^ _CRC8_END
 
 
-def decode_force_message(data: bytes | bytearray, t_s: float) -> ForceMessage:
-    """Return the message in 8 bytes received at ``t_s`` s; FrameError for damaged ones."""
-    if len(data) != MESSAGE_BYTES:
-        raise FrameError(f"a force message has {len(data)} bytes, expected {MESSAGE_BYTES}")
+def decode_force_message(data: bytes | bytearray, t_s: float) -> ForceMessage | None:
+    """Return the message in 8 bytes received at ``t_s`` s; None for a damaged one."""
     body = data[: _BODY.size]
-    if crc8(body) != data[-1]:
-        raise FrameError(f"force CRC is 0x{data[-1]:02X}, computed 0x{crc8(body):02X}")
+    if len(data) != MESSAGE_BYTES or crc8(body) != data[-1]:
+        return None
     head, first, second, along, across = _BODY.unpack(body)
     return ForceMessage(
         t_s=t_s,

@@ -247,31 +247,29 @@ def open_bus(
     nodes
         CANopen node-IDs of the needed messages; ``socketcan`` drops the others. All by default.
     """
-    try:
-        with ExitStack() as opened:
-            if not (shared and interface == "socketcan"):
-                opened.enter_context(bus_lock(interface, channel))
+    with ExitStack() as opened:
+        if not (shared and interface == "socketcan"):
+            opened.enter_context(bus_lock(interface, channel))
+        try:
             bus = _open(interface, channel, bitrate=bitrate)
             opened.callback(bus.shutdown)
             # Only the system's filter lets error frames pass.
             if nodes and interface == "socketcan":
                 bus.set_filters([{"can_id": node, "can_mask": _NODE_BITS} for node in nodes])
-            # The shutdown of the bus releases the lock.
-            bus.shutdown = opened.pop_all().close  # type: ignore[method-assign]
-            return bus
-    except BusNotOpened:
-        raise
-    except Exception as error:
-        # A driver without its library or its options raises errors of any kind.
-        cause: object = error.__cause__ or error
-        if isinstance(error, NameError):
-            cause = "the library of its driver is missing"
-        if getattr(cause, "errno", None) in (errno.EAGAIN, errno.EBUSY):
-            cause = "another program has it open, end that program first"
-        raise BusNotOpened(
-            f"CAN interface {interface!r}, channel {channel!r}, cannot be opened: {cause}. "
-            f"{_ADVICE.get(interface, _CHECK_NAMES)}"
-        ) from error
+        except Exception as error:
+            # A driver without its library or its options raises errors of any kind.
+            cause: object = error.__cause__ or error
+            if isinstance(error, NameError):
+                cause = "the library of its driver is missing"
+            if getattr(cause, "errno", None) in (errno.EAGAIN, errno.EBUSY):
+                cause = "another program has it open, end that program first"
+            raise BusNotOpened(
+                f"CAN interface {interface!r}, channel {channel!r}, cannot be opened: {cause}. "
+                f"{_ADVICE.get(interface, _CHECK_NAMES)}"
+            ) from error
+        # The shutdown of the bus releases the lock.
+        bus.shutdown = opened.pop_all().close  # type: ignore[method-assign]
+        return bus
 
 
 def _open(interface: str, channel: str, *, bitrate: int) -> can.BusABC:

@@ -4,7 +4,7 @@ For commissioning, while the unit is still unknown. Nothing is written to it.
 """
 
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, closing, nullcontext, suppress
+from contextlib import AbstractContextManager, closing, suppress
 from dataclasses import dataclass
 
 import can
@@ -25,7 +25,6 @@ _READ_DEVICE_TYPE = bytes.fromhex("40 00 10 00 00 00 00 00")
 """SDO request for object 1000h, the device type, which each CANopen node has."""
 _ANSWER_S = 0.1
 """Time in s that the last node has for its answer."""
-_POLL_S = 0.005
 _UNITS = {
     "Synchronous window length": " in us",
     "Communication cycle period": " in us",
@@ -51,7 +50,7 @@ class BusTraffic:
 
 def listen(bus: can.BusABC, duration_s: float) -> BusTraffic:
     """Listen to a bus for ``duration_s`` s; nothing is sent. Raises BusOff as the receiver."""
-    return _traffic(bus, [(None, duration_s)], nullcontext())
+    return _traffic(bus, duration_s, requests=())
 
 
 def scan_nodes(bus: can.BusABC) -> BusTraffic:
@@ -59,42 +58,35 @@ def scan_nodes(bus: can.BusABC) -> BusTraffic:
 
     At a wrong bit rate no node acknowledges. An adapter that then refuses to send means: no nodes.
     """
-    requests = (
+    requests = [
         can.Message(0.0, COB_SDO_REQUEST + node, False, data=_READ_DEVICE_TYPE) for node in _NODES
-    )
-    steps = [*((request, _GAP_S) for request in requests), (None, _ANSWER_S)]
-    return _traffic(bus, steps, suppress(can.CanError, OSError, BusOff))
+    ]
+    with suppress(BusOff):
+        return _traffic(bus, _ANSWER_S, requests)
+    return BusTraffic(messages=0, errors=0, nodes=())
 
 
-def _traffic(
-    bus: can.BusABC,
-    steps: Sequence[tuple[can.Message | None, float]],
-    failures: AbstractContextManager[bool | None],
-) -> BusTraffic:
-    """Return what is received in some steps: a message to send, and the time after it in s.
-
-    A failure that ``failures`` suppresses ends the steps.
-    """
+def _traffic(bus: can.BusABC, duration_s: float, requests: Sequence[can.Message]) -> BusTraffic:
+    """Return what is received while requests are sent, and in a time in s after them."""
     source, scanner = message_source(bus), NodeScanner()
-    messages = errors = 0
     source.start()
-    with closing(source), failures:
-        for request, duration_s in steps:
-            if request is not None:
+    with closing(source):
+        with suppress(can.CanError, OSError):
+            for request in requests:
                 bus.send(request)
-            end_s = source.clock.monotonic() + duration_s
-            while True:
-                for _, message in source.drain():
-                    messages += not message.is_error_frame
-                    errors += message.is_error_frame
-                    # Other devices may have the lower identifiers, of PDOs and emergencies.
-                    node = message.arbitration_id >= COB_SDO_RESPONSE
-                    if node and not (message.is_error_frame or of_another_kind(message)):
-                        scanner.on_message_received(message.arbitration_id)
-                if (left_s := end_s - source.clock.monotonic()) <= 0.0:
-                    break
-                source.clock.sleep(min(left_s, _POLL_S))
-    return BusTraffic(messages=messages, errors=errors, nodes=tuple(sorted(scanner.nodes)))
+                source.clock.sleep(_GAP_S)
+        source.clock.sleep(duration_s)
+        received = [message for _, message in source.drain()]
+    whole = [message for message in received if not message.is_error_frame]
+    for message in whole:
+        # Other devices may have the lower identifiers, of PDOs and emergencies.
+        if message.arbitration_id >= COB_SDO_RESPONSE and not of_another_kind(message):
+            scanner.on_message_received(message.arbitration_id)
+    return BusTraffic(
+        messages=len(whole),
+        errors=len(received) - len(whole),
+        nodes=tuple(sorted(scanner.nodes)),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,7 +14,6 @@ from canopen.nmt import COMMAND_TO_STATE, NMT_COMMANDS, NMT_STATES
 from tactile import errors
 from tactile.can.bus import ACTIVE, CLASS_CONTROLLER, PASSIVE
 from tactile.control_unit.settings import LinkSettings
-from tactile.errors import FrameError
 from tactile.frames import COUNTERS, decode_force_message
 from tactile.source import ForceMessage, ForceStatistics, ForceStatus, SourceStatistics
 
@@ -367,9 +366,8 @@ class ForceFlow:
 
     def push(self, data: bytes | bytearray, t_s: float) -> ForceMessage | None:
         """Add a message received at ``t_s`` s and return it if it is valid and newer."""
-        try:
-            message = decode_force_message(data, t_s)
-        except FrameError:
+        message = decode_force_message(data, t_s)
+        if message is None:
             self.counts.damaged += 1
             return None
         # Silence since any message: a repeated message never counts as a new one.

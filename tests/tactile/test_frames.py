@@ -8,7 +8,7 @@ import pytest
 from simulator.can.scanner import BurstFormat, force_bytes
 from tactile.control_unit.settings import LinkSettings
 from tactile.control_unit.watch import ForceFlow
-from tactile.errors import FrameError, LayoutError
+from tactile.errors import LayoutError
 from tactile.frames import PHASE_SHIFT, FrameAssembler, FrameFormat, crc8, decode_force_message
 from tactile.source import ForceMessage, ForceStatistics, ForceStatus, TactileFrame
 
@@ -93,8 +93,7 @@ def test_without_a_touch_there_is_no_centre_and_what_is_too_much_stays_at_the_en
 def test_one_turned_bit_is_noticed(bit: int) -> None:
     data = bytearray(force_bytes(message(5)))
     data[bit // 8] ^= 1 << bit % 8
-    with pytest.raises(FrameError, match="force CRC"):
-        decode_force_message(data, 0.0)
+    assert decode_force_message(data, 0.0) is None
 
 
 @pytest.fixture
