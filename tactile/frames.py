@@ -248,16 +248,14 @@ def decode_force_message(data: bytes | bytearray, t_s: float) -> ForceMessage | 
 
 
 ForceLaw = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""Forces of all taxels in N, of their tared counts: `Calibration.force_n` of the sensor."""
+"""Forces in N of tared counts, (..., n_taxels) both: `Calibration.force_n` of the sensor."""
 
 
 def force_table(layout: TaxelLayout, law: ForceLaw) -> bytes:
     """Return object 0x2141, the table of counts to force of both gripping pads."""
-    table_n = np.empty((2, TABLE_NODES))
-    for node in range(TABLE_NODES):
-        force_n = law(np.full(layout.n_taxels, layout.adc_max * node / (TABLE_NODES - 1)))
-        for finger, pad in enumerate(layout.gripping_pads):
-            table_n[finger, node] = force_n[layout.taxels_of(pad)].mean()
+    counts = np.linspace(0.0, layout.adc_max, TABLE_NODES)
+    force_n = law(np.repeat(counts[:, np.newaxis], layout.n_taxels, axis=1))
+    table_n = np.stack([force_n[:, taxels].mean(axis=1) for taxels in layout.gripping_taxels])
     if not np.isfinite(table_n).all():
         raise FrameError("the calibration has forces that are not finite: correct it")
     return _with_crc(np.clip(np.rint(table_n / TABLE_N), 0, 0xFFFF))

@@ -68,7 +68,7 @@ class Mounting:
         """Whether the unit's force messages are valid. It sums its own two gripping pads and sends
         one centre for both."""
         self._signs = (-1 if first.rows_mirrored else 1, -1 if first.columns_mirrored else 1)
-        own = np.concatenate([np.arange(layout.n_taxels)[layout.taxels_of(p)] for p in gripping])
+        own = np.r_[layout.gripping_taxels]
         self.zero_order = np.searchsorted(own, np.argsort(self.order)[own])
         """(n,) int64: for each taxel that the unit sums its place on the layout's gripping pads."""
 

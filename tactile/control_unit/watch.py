@@ -58,9 +58,9 @@ twice, it is at least a half."""
 _STALL_SHOWS_S = 0.2
 """Time in s after a stall of the host in which force messages of the stall still count in
 `ForceFlow.behind_s`, whose window is half of it."""
-_USUAL_MESSAGES = 250
-"""Number of messages after which their least delay is discarded, once or twice: a unit's clock may
-have an error of a few thousandths."""
+_USUAL_MESSAGES = 400
+"""Number of messages whose least delay is the usual one: a unit's clock may have an error of a few
+thousandths, so older ones do not count."""
 _BEHIND_S, _LEAST_BEHIND = 0.1, 3
 """Time in s, and least number of messages, that must all come later than usual."""
 _LAG_FRAMES = 500
@@ -353,7 +353,7 @@ class ForceFlow:
         self._came_s = 0.0
         self._sent = 0
         self._delays: deque[tuple[float, float]] = deque()
-        self._least_s = self._least_before_s = inf
+        self._usual_delays: deque[float] = deque(maxlen=_USUAL_MESSAGES)
 
     def enter_operation(self, now_s: float) -> None:
         """Require force messages from now on."""
@@ -387,10 +387,9 @@ class ForceFlow:
         It follows from their counters. Messages that are sent less often also get a delay, and so
         do messages after a loss of sixteen at once.
         """
-        if len(self._delays) < _LEAST_BEHIND:
+        if not self._usual_delays:
             return 0.0
-        usual_s = min(self._least_s, self._least_before_s)
-        return min(self._delays, key=itemgetter(1))[1] - usual_s
+        return min(self._delays, key=itemgetter(1))[1] - min(self._usual_delays)
 
     def _note_delay(self, message: ForceMessage) -> None:
         """Add the delay of a message after the time at which its counter was due."""
@@ -400,9 +399,7 @@ class ForceFlow:
         self._delays.append((message.t_s, delay_s))
         while message.t_s - self._delays[0][0] > _BEHIND_S and len(self._delays) > _LEAST_BEHIND:
             # The usual delay excludes the messages that may be late.
-            self._least_s = min(self._least_s, self._delays.popleft()[1])
-        if self.counts.received % _USUAL_MESSAGES == 0:
-            self._least_before_s, self._least_s = self._least_s, inf
+            self._usual_delays.append(self._delays.popleft()[1])
 
     def _follows(self, counter: int, data: bytes | bytearray, silence_s: float) -> bool:
         step = (counter - self._last_counter) % COUNTERS

@@ -156,13 +156,10 @@ class QualityWatch:
         if tare is None or 2 * len(good) <= len(taxels):
             return ""
         drift = float(np.median(tared[good]))
-        limit = self._limits.drift_share * self._layout.adc_max
-        if abs(drift) <= limit:
-            return ""
-        # Noise alone may move the median further.
+        # Noise alone may move the median further than the limit.
         share = np.sqrt((1.0 / self._limits.mean_frames + 1.0 / tare.n_frames) / len(good))
         spread = float(_MEDIAN_SPREAD * np.median(tare.noise_counts[good]) * share)
-        limit = max(limit, _DRIFT_SIGMA * spread)
+        limit = max(self._limits.drift_share * self._layout.adc_max, _DRIFT_SIGMA * spread)
         if abs(drift) <= limit:
             return ""
         return (
