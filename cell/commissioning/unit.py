@@ -25,17 +25,16 @@ from cell.config.tactile import (
 )
 from cell.hand.local import taxel_sensor
 from tactile.can.bus import CanBus, MissingBus
-from tactile.control_unit.object_dictionary import PRODUCT_CODE, VENDOR_ID
-from tactile.control_unit.search import (
-    BusTraffic,
-    FoundUnit,
-    listen,
-    read_unit,
-    read_vendor,
-    scan_nodes,
+from tactile.can.sdo_client import PolledSdoClient
+from tactile.control_unit.object_dictionary import (
+    FORCE_MESSAGE,
+    FORCES_TIMER,
+    PRODUCT_CODE,
+    VENDOR_ID,
 )
-from tactile.control_unit.settings import LinkSettings, least_sync_period_s
-from tactile.control_unit.setup import identity_checks, refuse_mismatch, written
+from tactile.control_unit.search import BusTraffic, listen, objects_of, scan_nodes
+from tactile.control_unit.settings import LinkSettings, NodeIdentity, least_sync_period_s
+from tactile.control_unit.setup import identity_checks, read_identity, refuse_mismatch, written
 from tactile.errors import BusNotOpened, TactileError
 from tactile.layout import LAYOUTS, TaxelLayout
 from tactile.sensor.opening import open_sensor
@@ -53,6 +52,15 @@ _RATE_FRAMES = 100
 _LEAST_RATE = 0.8
 """Frames for the measured rate of boards, and the share of the usual rate below which it is
 reported."""
+_UNITS = {
+    "Synchronous window length": " in us",
+    "Communication cycle period": " in us",
+    "Producer heartbeat time": " in ms",
+    FORCES_TIMER: " in ms",
+}
+"""Units of objects that a start writes (CiA 301, 7.5.2); an EDS has none."""
+_KIND = ("Vendor-ID", "Product code")
+"""Parts of the identity object (1018h) that distinguish a control unit from a drive."""
 _FRAMES = 10
 """Frames that prove that the link runs."""
 
@@ -109,12 +117,15 @@ def find_unit(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         "tactile.mounting": [],
     }
     with bench.can_bus(interface, channel, bitrate) as bus:
-        unit = read_unit(bus, _node(bus, heard, dialog, notes))
-        layout = _judge(unit, bench, notes)
-        _fit_period(layout, bitrate, bench, notes)
-        tactile = bench.tactile()
-        link = link_settings(tactile)
-        dialog.approve(_writes(unit, link))
+        node_id = _node(bus, heard, dialog, notes)
+        with objects_of(bus, node_id) as objects:
+            identity = _judge_identity(objects, node_id, notes)
+            layout = _judge_layout(objects, bench, notes)
+            _fit_period(layout, bitrate, bench, notes)
+            tactile = bench.tactile()
+            link = link_settings(tactile)
+            writes = _writes(objects, node_id, link, notes)
+        dialog.approve(writes)
         with open_sensor(bus, layout, node_id=tactile.node_id, link=link) as sensor:
             for _ in range(_FRAMES):
                 sensor.read()
@@ -125,9 +136,9 @@ def find_unit(bench: Bench, dialog: Dialog, notes: Notes) -> None:
             notes.fact(f"tactile.{key} was {was}, is now {now}", corrected=True)
     notes.fact(f"The unit boots, keeps its set-up and sends frames ({forces} force messages).")
     notes.values |= {
-        "serial_number": unit.identity.serial,
-        "revision": unit.identity.revision,
-        "board_serial_numbers": list(unit.identity.boards),
+        "serial_number": identity.serial,
+        "revision": identity.revision,
+        "board_serial_numbers": list(identity.boards),
     }
 
 
@@ -251,7 +262,8 @@ def _node(bus: CanBus, heard: BusTraffic, dialog: Dialog, notes: Notes) -> int:
     units, others = [], []
     for node in sorted({*heard.nodes, *scan_nodes(bus).nodes}):
         try:
-            vendor, product = read_vendor(bus, node)
+            with objects_of(bus, node) as objects:
+                vendor, product = (objects[f"Identity object.{name}"].raw for name in _KIND)
         except TactileError as error:
             others.append(f"node {node} does not answer ({error})")
             continue
@@ -276,11 +288,11 @@ def _node(bus: CanBus, heard: BusTraffic, dialog: Dialog, notes: Notes) -> int:
     return int(dialog.choose("unit.node", text, choices, str(units[0])))
 
 
-def _judge(unit: FoundUnit, bench: Bench, notes: Notes) -> TaxelLayout:
-    """Judge a unit by identity and taxels; returns its layout."""
-    identity = unit.identity
+def _judge_identity(objects: PolledSdoClient, node_id: int, notes: Notes) -> NodeIdentity:
+    """Return the identity of a unit; one of another EDS is refused."""
+    identity = read_identity(objects)
     notes.fact(
-        f"Node {unit.node_id}: {identity.name}, serial number {identity.serial}, revision "
+        f"Node {node_id}: {identity.name}, serial number {identity.serial}, revision "
         f"{identity.revision >> 16}.{identity.revision & 0xFFFF}; boards of the pads "
         f"{identity.boards[0]} and {identity.boards[1]}."
     )
@@ -289,35 +301,38 @@ def _judge(unit: FoundUnit, bench: Bench, notes: Notes) -> TaxelLayout:
         "Its EDS is not that of this software",
         "Update the unit's firmware, or this software.",
     )
-    layout, written = _layout(unit, bench)
+    notes.settings |= {"tactile.node_id": node_id, "tactile.serial_number": identity.serial}
+    return identity
+
+
+def _judge_layout(objects: PolledSdoClient, bench: Bench, notes: Notes) -> TaxelLayout:
+    """Return the layout with the unit's taxels, and set it."""
+    layout, value = _layout(objects, bench)
     notes.fact(f"Layout {layout.name}: {layout.n_taxels} taxels on {layout.n_pads} pads.")
-    notes.settings |= {
-        "tactile.node_id": unit.node_id,
-        "tactile.serial_number": identity.serial,
-        "tactile.layout": written,
-    }
-    if not unit.sends_forces:
-        notes.warn(
-            "The unit has no force messages (object 2140h), so the force comes from whole frames "
-            "and is slower: update its firmware, or set gripper.approach_speed_mm_s to 12."
-        )
+    notes.settings["tactile.layout"] = value
     return layout
 
 
-def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
+def _layout(objects: PolledSdoClient, bench: Bench) -> tuple[TaxelLayout, Any]:
     """Return the layout with the unit's taxels, and the value of tactile.layout for it."""
+    unit_hash = objects["Taxel layout.Layout hash"].raw
     for name, make in LAYOUTS.items():
-        if unit.layout_hash == (layout := make()).layout_hash:
+        if unit_hash == (layout := make()).layout_hash:
             return layout, name
     given = bench.given.get("tactile.layout") or bench.tactile().model_dump(mode="json")["layout"]
     own = layout_from_config(bench.tactile(layout=given, mounting=[]))
-    if unit.layout_hash == own.layout_hash:
+    if unit_hash == own.layout_hash:
         return own, given
-    shapes = ", ".join(f"{rows} x {columns}" for rows, columns in unit.pad_shapes)
+    sizes = objects["Rows and columns of each pad"].raw
+    shapes = ", ".join(
+        f"{rows} x {columns}" for rows, columns in zip(sizes[::2], sizes[1::2], strict=False)
+    )
     raise StepFailed(
-        f"Its layout is unknown (hash {unit.layout_hash}): {unit.n_taxels} taxels on pads of "
-        f"{shapes}, full scale {unit.adc_max}. Write its pads into tactile.layout, or plug in the "
-        f"unit of this gripper. Known layouts: {', '.join(LAYOUTS)}."
+        f"Its layout is unknown (hash {unit_hash}): "
+        f"{objects['Taxel layout.Number of taxels'].raw} taxels on pads of {shapes}, full scale "
+        f"{objects['Taxel layout.Full scale of the counts'].raw}. Write its pads into "
+        "tactile.layout, or plug in the unit of this gripper. Known layouts: "
+        f"{', '.join(LAYOUTS)}."
     )
 
 
@@ -335,11 +350,24 @@ def _fit_period(layout: TaxelLayout, bitrate: int, bench: Bench, notes: Notes) -
     notes.fact(f"{needed}, which is set now. A faster rate grips softer.")
 
 
-def _writes(unit: FoundUnit, link: LinkSettings) -> list[ProposedChange]:
+def _writes(
+    objects: PolledSdoClient, node_id: int, link: LinkSettings, notes: Notes
+) -> list[ProposedChange]:
     """Return the writes to the unit at each start of the link."""
-    coming = written(link, unit.node_id, forces=unit.sends_forces)
-    where, undo = f"control unit, node {unit.node_id}", "switch it off and on; it is not stored"
+    forces = objects.find(FORCE_MESSAGE) is not None
+    if not forces:
+        notes.warn(
+            "The unit has no force messages (object 2140h), so the force comes from whole frames "
+            "and is slower: update its firmware, or set gripper.approach_speed_mm_s to 12."
+        )
+    where, undo = f"control unit, node {node_id}", "switch it off and on; it is not stored"
     return [
-        ProposedChange(where, text, str(before), str(coming[name]), undo)
-        for name, (text, before) in unit.registers.items()
+        ProposedChange(
+            where,
+            objects.label(name) + _UNITS.get(name, ""),
+            str(objects[name].raw),
+            str(number),
+            undo,
+        )
+        for name, number in written(link, node_id, forces=forces).items()
     ]

@@ -18,7 +18,7 @@ from simulator.can.control_unit import ControlUnitSettings
 from simulator.can.link import mean_bits
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import TactileLink
-from tactile.control_unit.search import listen, read_unit
+from tactile.control_unit.search import listen
 from tactile.control_unit.settings import LinkSettings, bus_load, least_sync_period_s, message_bits
 from tactile.control_unit.watch import FrameFlow, NodeWatch, emergency_text
 from tactile.errors import (
@@ -53,12 +53,6 @@ def written(bench) -> dict[tuple[int, int], int]:
     """Return what the host has written by expedited downloads, by index and sub-index."""
     sent = [data for _, can_id, data in bench.traffic if can_id == 0x605 and data[0] >> 5 == 1]
     return {struct.unpack_from("<HB", data, 1): int.from_bytes(data[4:], "little") for data in sent}
-
-
-def test_a_unit_with_half_a_pad_is_named_by_its_object(idle) -> None:
-    idle.unit.pretend("Rows and columns of each pad", b"\x06\x03\x06")
-    with pytest.raises(NodeMissing, match="object 2102h of node 5 has 3 bytes"):
-        read_unit(idle.bus, NODE)
 
 
 def test_start_checks_configures_and_starts_the_unit(idle) -> None:
