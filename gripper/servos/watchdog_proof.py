@@ -63,16 +63,14 @@ def prove_watchdog(servos: Servos, clock: Clock) -> None:
         )
         for current_a, path in zip(mechanics.motion_currents_a(paths, _FORCE_N), paths, strict=True)
     ]
-    servos.goals.write(
-        [
-            ServoGoal(angle_rad=angle_rad, current_a=current_a, profile_rad_s=speed_rad_s)
-            for angle_rad, current_a in zip(goals_rad, currents_a, strict=True)
-        ],
-        begin,
-    )
-    # Friction delays the start of the motors; until then each reading feeds the watchdog.
+    goals = [
+        ServoGoal(angle_rad=angle_rad, current_a=current_a, profile_rad_s=speed_rad_s)
+        for angle_rad, current_a in zip(goals_rad, currents_a, strict=True)
+    ]
     before = begin
     while before.t_s - begin.t_s < _START_RAD / speed_rad_s:
+        # Friction delays the start of the motors: a finger that stands may then have more current.
+        servos.goals.write(goals, before)
         clock.sleep(_FEED_S)
         before = servos.read()
     clock.sleep(_SILENT_SHARE * settings.watchdog_s + _SILENT_MORE_S)

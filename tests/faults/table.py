@@ -315,11 +315,9 @@ RH_P12 = tuple(replace(row, long=True) for row in _with(OF_RH_P12, (
       for where, after_s in (("the ramp", 0.3), ("a hold", 1.5))),
     FaultRow(28, "rh-p12 part slips", "object.slips=20@contact+1.5s", "HOLD", 0.45,
              partial(grasp_with_fault, look_again=False), LONG_HOLD, number=206),
-    # Its bus watchdog trips and the motor turns on; the self-test is on. Fingers with the preset's
-    # friction stand in it: the page of the gripper names this limit.
+    # Its bus watchdog trips and the motor turns on; the self-test is on.
     FaultRow(30, "rh-p12", "servo1.watchdog_off", "REJECT", 3.0,
-             changes={"gripper.watchdog_self_test": True, "simulator.servos.friction": [1.0, 1.0]},
-             number=113),
+             changes={"gripper.watchdog_self_test": True}, number=113),
 )))
 
 SERVO_BUS = (

@@ -10,6 +10,7 @@ from gripper.errors import (
     WatchdogUnproven,
 )
 from gripper.force.ramp import ForceRamp
+from gripper.mechanics.transmission import Drives
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from simulator.servo.device import WatchdogStop
@@ -82,6 +83,15 @@ def test_a_part_that_blocks_the_test_is_named_and_kept(make_cell) -> None:
     cell.gripper.clear_fault()
     with pytest.raises(GripperStateError, match="release the part first"):
         cell.gripper.open()
+
+
+def test_fingers_of_high_friction_get_the_current_to_start(make_cell) -> None:
+    cell = make_cell(watchdog_self_test=True, friction_error=1.5, force_max_n=4.0)
+    cell.drives = Drives()
+    cell.gripper = cell.new_gripper()
+    cell.gripper.start()
+    cell.gripper.open(0.02)
+    assert cell.gripper.phase is GripperPhase.IDLE
 
 
 def test_what_lies_between_the_fingers_at_a_stop_in_the_test_is_kept(make_cell) -> None:
