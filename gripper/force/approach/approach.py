@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 from math import inf, sqrt
 
+from gripper.force.certainty import BRIEF_S, PRESENT_SHARE, REACHED_SHARE, STALLED_S
 from gripper.force.estimates.grip import StiffnessEstimate
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.impact import approach_speed_m_s, closing_current_max_a, slowing_way_m
@@ -20,13 +21,11 @@ from gripper.servos.motion import slow_rad_s
 from gripper.values.force_sensor import ONE_FRAME_S, QUIET_N, ForceSample, RecentForce
 from gripper.values.state import STANDING_M_S, ServoFeedback
 
-LOADED_SHARE = 0.5
-"""Share of ``contact_force_n`` above which the mean of some samples shows a pad as loaded: several
-times its noise. [tuned]"""
 _TOUCH_N = 0.12
 """Least force in N on a pad that shows a first touch, also on a quiet pad. [tuned]"""
 _TOUCH_SIGMAS = 3.5
-"""Standard deviations of the empty pad's noise by which a first touch exceeds it. [statistics]"""
+"""Standard deviations of the empty pad's noise by which a first touch exceeds it: a false one
+stops its finger for a moment. [statistics]"""
 _EMPTY_SAMPLES = 20
 """Number of samples for the noise of an empty pad. [tuned]"""
 _TOUCH_SAMPLES = 8
@@ -167,16 +166,8 @@ class ContactRest:
         return rested_s < _REST_S and (fresh or not known)
 
 
-_STALL_CURRENT_SHARE = 0.8
-"""Share of the goal current at which a servo at rest pushes against something. [tuned]"""
-_STANDING_SHARE, _RUNNING_SHARE = 0.2, 0.8
-"""Shares of the nominal speed below which a finger stands, and above which it runs. [chosen]"""
-_STALL_TIME_S = 0.5
-"""Time in s for which both must last before the fingers are stalled. [chosen]"""
 _LEAD_M = 0.006
 """Lead of the goal before the fingers in m: their motion if no further goal is written. [chosen]"""
-_CHANGING_S = 0.1
-"""Longest time in s until the fingers reach a new speed; the goal then runs on. [chosen]"""
 _BRAKED_S, _UNSURE_S = 0.01, 0.05
 """Times in s for which a braked finger stops, and after which it runs on without force on its pad.
 [chosen]"""
@@ -320,7 +311,7 @@ class Approach:
         """Return whether all fingers close steadily and no pad has been touched so far."""
         return not self._was_touched and all(
             self._nominal_rad_s + servo.velocity_rad_s
-            <= max((1.0 - _RUNNING_SHARE) * self._nominal_rad_s, slow_rad_s(one.servo_model))
+            <= max((1.0 - REACHED_SHARE) * self._nominal_rad_s, slow_rad_s(one.servo_model))
             for servo, one in zip(state.servos, self.settings.servos, strict=True)
         )
 
@@ -384,9 +375,9 @@ class Approach:
         if travelled and not self._travels:
             self._changed_s, self._changes = moment.now_s, True
         speeds_rad_s = [-servo.velocity_rad_s for servo in state.servos]
-        fast = max(speeds_rad_s) > self._nominal_rad_s / _RUNNING_SHARE
-        even = min(speeds_rad_s) >= self._nominal_rad_s * _RUNNING_SHARE and not fast
-        self._changes &= moment.now_s - self._changed_s < _CHANGING_S and not even
+        fast = max(speeds_rad_s) > self._nominal_rad_s / REACHED_SHARE
+        even = min(speeds_rad_s) >= self._nominal_rad_s * REACHED_SHARE and not fast
+        self._changes &= moment.now_s - self._changed_s < BRIEF_S and not even
         # Fingers that break loose with more current would follow a goal far ahead too fast.
         if self._changes or (fast and max(finger.boost for finger in self._fingers) > 1.0):
             self._aperture_m = state.aperture_m - self._lead_m
@@ -417,7 +408,7 @@ class Approach:
         for finger, servo, path in zip(
             self._fingers, moment.state.servos, self._paths, strict=True
         ):
-            stands = abs(servo.velocity_rad_s) <= _STANDING_SHARE * self._nominal_rad_s
+            stands = abs(servo.velocity_rad_s) <= (1.0 - REACHED_SHARE) * self._nominal_rad_s
             if free and finger.braked_s is None and stands:
                 finger.boost = min(path.most_boost, finger.boost + step)
             elif path.drive.measured:
@@ -441,7 +432,7 @@ class Approach:
 
     def _touched(self) -> tuple[bool, ...]:
         """Return which pads are in contact: for a braked finger half the force is enough."""
-        least_n = LOADED_SHARE * self.settings.contact_force_n
+        least_n = PRESENT_SHARE * self.settings.contact_force_n
         return tuple(
             touched or (finger.braked_s is not None and pad_n >= least_n)
             for touched, finger, pad_n in zip(
@@ -457,7 +448,7 @@ class Approach:
             return ApproachEvent.CONTACT
         currents_a = self.currents_a
         loaded = any(
-            abs(servo.current_a) >= _STALL_CURRENT_SHARE * current_a
+            abs(servo.current_a) >= REACHED_SHARE * current_a
             for servo, current_a in zip(state.servos, currents_a, strict=True)
         )
         # Fingers of unknown friction get time to break away.
@@ -471,7 +462,7 @@ class Approach:
         )
         if not loaded or abs(state.aperture_velocity_m_s) > STANDING_M_S:
             self._moving_s = now_s
-        if now_s - self._moving_s >= _STALL_TIME_S:
+        if now_s - self._moving_s >= STALLED_S:
             pressed = any(touched) or all(self._touch.lasts)
             return ApproachEvent.CONTACT if pressed else ApproachEvent.OBSTRUCTED
         return ApproachEvent.LIMIT if now_s >= self._deadline_s else ApproachEvent.CLOSING

@@ -23,7 +23,9 @@ from dataclasses import dataclass
 from math import copysign, hypot, inf, sqrt
 from statistics import fmean
 
+from gripper.dynamixel.drive import SIGMAS
 from gripper.errors import LimitExceeded
+from gripper.force.certainty import FAULT_SDS, PRESENT_SHARE, STEADY_S, SURE_SDS
 from gripper.force.control.observer import GripObserver
 from gripper.force.estimates.grip import Grip, History
 from gripper.force.loop import Moment
@@ -54,22 +56,18 @@ _BRAKE_SHARE = 0.5
 """Share of the friction by which the drive brakes beside the friction itself. [chosen]"""
 _STRONGER, _WEAKER = 1.15, 0.98
 """Factors on the assumed stiction after a push without, and with, effect. [chosen]"""
-_EFFECT_SHARE = 0.5
-"""Share of the expected growth of the force by which a push has had an effect. [chosen]"""
-_EFFECT_SDS = 2.0
-"""Growth of the force, in its standard deviations, that shows an effect. [statistics]"""
 _BEYOND_N = 0.1
 """Push in N beyond the assumed friction at rest. [chosen]"""
 _MOTION_STEPS = 1.5
 """Change of the opening in steps of its resolution that shows a motion. [resolution]"""
 _LEAST_OPENING_SHARE = 0.3
 """Least friction of opening fingers over that of closing ones. [chosen]"""
-_JUMP_N, _JUMP_SDS = 0.8, 4.0
-"""Sudden growth of the measured force that no drive makes: in N, and in standard deviations. As a
-share of the set-point it is that of a slip. [chosen]"""
-_JUMP_S, _CONTRADICTED_S = 0.75 * FRAME_S, 15 * FRAME_S
-"""Times in s after which a jump, and a missing drive that is too large, are an error. [chosen]"""
-_MOST_MISSING_N, _MISSING_SDS = 3.0, 5.0
+_JUMP_N = 0.8
+"""Sudden growth of the measured force in N that no drive makes. As a share of the set-point it is
+that of a slip. [chosen]"""
+_JUMP_S = 0.75 * FRAME_S
+"""Time in s after which a jump is an error. [chosen]"""
+_MOST_MISSING_N = 3.0
 """Largest missing drive in N, beside the friction and the uncertainty of the servos. [chosen]"""
 
 
@@ -192,8 +190,8 @@ class Pushes:
         drives, grown_n = self._drives, abs(observer.force_n - self._from_n)
         if closing is not self._closing or self.growth_n == 0.0:
             return
-        known = self.growth_n > _EFFECT_SDS * observer.force_sd_n
-        if known and grown_n >= _EFFECT_SHARE * self.growth_n:
+        known = self.growth_n > SIGMAS * observer.force_sd_n
+        if known and grown_n >= PRESENT_SHARE * self.growth_n:
             drives.stiction = max(1.0, _WEAKER * drives.stiction)
         else:
             drives.stiction = min(MOST_STICTION, _STRONGER * drives.stiction)
@@ -381,7 +379,7 @@ class ForceLaw:
         grown_n = sample.grip_n - self._samples_n.at(sample.t_s - LOOK_BACK_S)
         jump_n = min(observer.unexplained_n(sample), grown_n)
         least_n = max(_JUMP_N, self._grip.settings.slip_drop_share * setpoint_n)
-        least_n += _JUMP_SDS * hypot(sample.noise_n, observer.force_sd_n)
+        least_n += SURE_SDS * hypot(sample.noise_n, observer.force_sd_n)
         if jump_n <= least_n:
             self._jumped_s = None
             return False
@@ -411,10 +409,10 @@ class ForceLaw:
         """Raise LimitExceeded when the drive lacks more than is plausible for some time."""
         missing_n, force_n = self.observer.missing_n, self.observer.force_n
         force_sd_n = max(path.force_sd_n(period.setpoint_n) for path in period.paths)
-        limit_n = _MOST_MISSING_N + period.friction_n + _MISSING_SDS * force_sd_n
+        limit_n = _MOST_MISSING_N + period.friction_n + FAULT_SDS * force_sd_n
         plausible = abs(missing_n) <= limit_n
         self._contradicted_s = 0.0 if plausible else self._contradicted_s + period.moment.dt_s
-        if self._contradicted_s > _CONTRADICTED_S:
+        if self._contradicted_s > STEADY_S:
             raise LimitExceeded(
                 f"force sensor and servo current disagree by {-missing_n:.2f} N, more than "
                 f"{limit_n:.2f} N: the sensor shows {force_n:.2f} N where the current makes "

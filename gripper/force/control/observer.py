@@ -26,6 +26,7 @@ from math import log, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from gripper.force.certainty import SURE_SDS
 from gripper.force.estimates.grip import Grip, History
 from gripper.force.loop import Moment
 from gripper.mechanics.impact import impact_limit
@@ -43,9 +44,6 @@ changes with place and speed. [chosen]"""
 _LEAST_LOG_SD, _HARDER = 0.3, 7.0
 """Least standard deviation of ln k, because foam hardens; and the factor by which a part may be
 harder that the fingers meet at speed. [chosen]"""
-_SURE_SDS = 3.0
-"""Deviation, in standard deviations, of a position that shows a motion of locked fingers.
-[statistics]"""
 _IDENTITY = np.eye(5)
 _WAY = _IDENTITY[3]
 """Derivative of a measured way by the state."""
@@ -155,7 +153,7 @@ class GripObserver:
     def measure(self, moment: Moment, sample: ForceSample | None) -> None:
         """Use the present position, and the newest sample where it is new."""
         error_m = 0.5 * (self._start_m - moment.state.aperture_m) - self._way_m
-        if self.speed_m_s == 0.0 and error_m**2 > _SURE_SDS**2 * (self._p[3, 3] + self._way_m2):
+        if self.speed_m_s == 0.0 and error_m**2 > SURE_SDS**2 * (self._p[3, 3] + self._way_m2):
             # The fingers have moved although friction should lock them.
             moved = np.array((self.stiffness_n_m, 0.0, 0.0, 1.0, 0.0))
             self._p += np.outer(moved, moved) * error_m**2

@@ -4,6 +4,8 @@ from collections import deque
 from dataclasses import dataclass
 from math import inf, sqrt
 
+from gripper.dynamixel.drive import SIGMAS
+from gripper.force.certainty import EMPTY_SHARE
 from gripper.force.loop import Moment
 from gripper.mechanics.transmission import Mechanics
 from gripper.settings import GripperSettings
@@ -13,17 +15,14 @@ _LENGTH = 128
 """Periods kept of a value: 0.64 s at 200 Hz, several times the delay of a sensor. [chosen]"""
 _MEAN_SAMPLES = 3
 """Number of samples in a mean for a stiffness: 60 ms at 50 Hz. [tuned]"""
-_TOUCH_SHARE = 0.3
-"""Share of ``contact_force_n`` below which a sample shows no touch. [tuned]"""
 KNOWN_N = 3.0
 """Force in N from which a stiffness is known well; it is measured anew each 0.7 N. [tuned]"""
 _SLOPE_N = 0.7
 """Growth of the force in N for one stiffness: several times the noise. [tuned]"""
 _HARDENS = 3.0
 """Factor by which foam may be harder at the next travel; it does not become softer. [assumed]"""
-_LEAST_STEPS, _SURE_SDS = 3.0, 2.0
-"""Travel in steps of the opening after which the next stiffness begins, and standard deviations of
-a force that bound it. [chosen]"""
+_LEAST_STEPS = 3.0
+"""Travel in steps of the opening after which the next stiffness begins. [chosen]"""
 SOFTEST_N_M, STIFFEST_N_M = 200.0, 5e4
 """Stiffness in N/m of the softest and of the hardest part between the pads: foam, and steel.
 [chosen]"""
@@ -80,7 +79,7 @@ class StiffnessEstimate:
     def __init__(self, mechanics: Mechanics) -> None:
         self.step_m = max(mechanics.opening_steps_m())
         """Resolution of the opening in m: the largest count of a servo."""
-        self._touch_n = _TOUCH_SHARE * mechanics.settings.contact_force_n
+        self._touch_n = EMPTY_SHARE * mechanics.settings.contact_force_n
         self.apertures = History()
         """Opening of the last periods in m."""
         self._block: list[tuple[float, float]] = []
@@ -118,7 +117,7 @@ class StiffnessEstimate:
         if self._anchor is None:
             return
         # The anchor is a mean of several blocks.
-        noise_n = _SURE_SDS * sample.noise_n * sqrt((1.0 + 1.0 / _MEAN_SAMPLES) / n)
+        noise_n = SIGMAS * sample.noise_n * sqrt((1.0 + 1.0 / _MEAN_SAMPLES) / n)
         self._bound(pair[0] - self._anchor[0], self._anchor[1] - pair[1], noise_n, way_m)
         if len(self._pairs) < _MEAN_SAMPLES:
             return

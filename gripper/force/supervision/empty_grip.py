@@ -1,7 +1,8 @@
 """Confirmation that nothing is held, before an opening without a request."""
 
 from gripper.errors import GripContradicted
-from gripper.force.approach.approach import LOADED_SHARE, Approach, ApproachEvent
+from gripper.force.approach.approach import Approach, ApproachEvent
+from gripper.force.certainty import PRESENT_SHARE, STALLED_S
 from gripper.force.estimates.grip import SOFTEST_N_M
 from gripper.force.loop import Action, Moment
 from gripper.force.supervision.part_watch import ADVICE, BREAKAWAY_SHARE, RUN_STEPS, FrameMean
@@ -11,8 +12,6 @@ from gripper.servos.group import frozen
 from gripper.values.force_sensor import LEAST_SAMPLES, RecentForce
 from gripper.values.state import ServoFeedback
 
-_TRY_S = 0.5
-"""Time in s, beyond that of the travel, within which free fingers have closed. [chosen]"""
 _CONFIRMING_FRAMES = 3
 """Frames after the stop of the fingers that confirm that nothing is held: in their mean no earlier
 touched taxel still counts as touched. [tuned]"""
@@ -65,9 +64,9 @@ class EmptyGrip:
         if not approached:
             pressed_n = settings.approach_force_n + BREAKAWAY_SHARE * friction_n
             self._run_m += pressed_n / (stiffness_n_m or SOFTEST_N_M)
-        self._loaded_n = LOADED_SHARE * settings.contact_force_n
+        self._loaded_n = PRESENT_SHARE * settings.contact_force_n
         self._begun_m = state.aperture_m
-        self._late_s = state.t_s + self._run_m / settings.approach_speed_m_s + _TRY_S
+        self._late_s = state.t_s + self._run_m / settings.approach_speed_m_s + STALLED_S
         self._ran = ran
         self._watch_from(state.t_s)
 

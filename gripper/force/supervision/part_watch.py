@@ -11,17 +11,14 @@ from math import inf, sqrt
 from typing import NamedTuple
 
 from gripper.errors import ForceImbalance, GripContradicted, PositionContradicted
-from gripper.force.approach.approach import LOADED_SHARE
+from gripper.force.certainty import BRIEF_S, EMPTY_SHARE, PRESENT_SHARE, STEADY_S, SURE_SDS
 from gripper.force.estimates.grip import KNOWN_N, SOFTEST_N_M, Grip
 from gripper.force.loop import Moment
 from gripper.mechanics.transmission import driving_n, mean_friction_n
 from gripper.settings import GripperSettings
-from gripper.values.force_sensor import FRAME_S, LOOK_BACK_S, ONE_FRAME_S, ForceSample, RecentForce
+from gripper.values.force_sensor import LOOK_BACK_S, ONE_FRAME_S, ForceSample, RecentForce
 from gripper.values.state import ServoFeedback
 
-_EMPTY_S = 5 * FRAME_S
-"""Time in s of five frames: a part may be lost after empty pads of this time. After loaded pads of
-this time a position is contradicted."""
 _RUN_M_S, RUN_STEPS = 0.008, 3.0
 """Growth of the closing speed in m/s, and travel in steps of the opening, above which nothing holds
 the fingers apart: three counts of each. On a part they come to rest under a constant drive.
@@ -33,9 +30,6 @@ _FOLLOWS_S = 0.03
 _PRESSING_N, BREAKAWAY_SHARE = 1.0, 0.3
 """Driving force in N beyond friction at rest that certainly moves free fingers, and the largest
 ratio of that friction to friction in motion. [assumed]"""
-_UNDECIDED_S = 0.3
-"""Longest time in s until another measurement confirms the loss; then it counts as contradicted.
-[chosen]"""
 _RUNAWAY_RESERVE, _RUNAWAY_N = 2.0, 1.0
 """Largest closing speed of a ramp on the part, in multiples of that by its stiffness; and growth of
 the load in N by a known stiffness above which the travel alone shows that the part is gone.
@@ -43,20 +37,11 @@ the load in N by a known stiffness above which the travel alone shows that the p
 _BLIND_N, _BLIND_SHARE = 6.0, 0.05
 """Growth of the force in N that the stiffness predicts for a travel. Below this share of it the
 pads do not measure the load of the fingers. [tuned]"""
-STEADY_S = 0.3
-"""Time in s of a hold until force and fingers rest, with any part. [tuned]"""
-_SINKS_S, _CREEP_M = 0.1, 0.0005
-"""Time in s after a rise until the fingers stand, and the distance in m by which foam may yield
-after it: a sixth of the yield of two pads of 3 mm. [chosen]"""
-_EMPTY_SHARE = 0.25
-"""Share of ``contact_force_n`` below which a pad is empty. [tuned]"""
+_CREEP_M = 0.0005
+"""Distance in m by which foam may yield after a rise: a sixth of the yield of two pads of 3 mm.
+[chosen]"""
 _SUDDEN_RATIO = 6.0
 """Least force, relative to an empty pad, before a sudden loss of force on the pads. [tuned]"""
-_HELD_SHARE = 0.5
-"""Share of the earlier force above which the pads show the part; noise must not make it look like
-an empty pad. [tuned]"""
-_SUDDEN_SIGMAS = 3.0
-"""Required certainty of the samples, in standard deviations of each pad's mean. [statistics]"""
 _PAD_NOISE = sqrt(2.0)
 """Noise of one pad over that of the grip force, the mean of both. [statistics]"""
 ADVICE = (
@@ -77,9 +62,9 @@ class PadSamples:
     def __init__(self, settings: GripperSettings) -> None:
         self.recent = RecentForce()
         """As many of the newest as a decision needs."""
-        self.empty_n = _EMPTY_SHARE * settings.contact_force_n
+        self.empty_n = EMPTY_SHARE * settings.contact_force_n
         """Force in N below which a pad is empty."""
-        self.loaded_n = LOADED_SHARE * settings.contact_force_n
+        self.loaded_n = PRESENT_SHARE * settings.contact_force_n
         """Force in N above which the mean of frames shows a pad as loaded."""
         self._before_n: deque[tuple[float, float]] = deque()
 
@@ -123,13 +108,13 @@ class PadSamples:
         much_n = min(planned_n, self.before_n)
         if much_n <= _SUDDEN_RATIO * self.empty_n:
             return False
-        newest_noise_n = (_HELD_SHARE * much_n - self.empty_n) / _SUDDEN_SIGMAS / _PAD_NOISE
+        newest_noise_n = (PRESENT_SHARE * much_n - self.empty_n) / SURE_SDS / _PAD_NOISE
         newest = RecentForce(max(0.0, newest_noise_n), least=1, longest_s=ONE_FRAME_S)
         for sample in reversed(list(self.recent)):
             newest.push(sample)
         pad_noise_n = _PAD_NOISE * newest.noise_n
-        held_n = _HELD_SHARE * much_n
-        noisy_n = min(self.empty_n + pad_noise_n, held_n - _SUDDEN_SIGMAS * pad_noise_n)
+        held_n = PRESENT_SHARE * much_n
+        noisy_n = min(self.empty_n + pad_noise_n, held_n - SURE_SDS * pad_noise_n)
         return max(newest.finger_means_n) < max(self.empty_n, noisy_n)
 
 
@@ -287,7 +272,7 @@ class PartWatch:
             return
         if not (empty or sudden):
             self._suspicion = None
-        elif sudden or suspicion.empty_s > _EMPTY_S:
+        elif sudden or suspicion.empty_s > BRIEF_S:
             suspicion.acts_s, suspicion.fell_to = moment.now_s, pads.newest_text
 
     def _confirmed(self, moment: Moment, stiffness_n_m: float | None) -> bool:
@@ -312,7 +297,7 @@ class PartWatch:
         pressing_n = driving_n(moment.state, paths) - friction_n
         if pressing_n < _PRESSING_N:
             return bool(suspicion.frames) or moment.sample is None or moment.sample.frame_s is None
-        if motion.t_s - suspicion.acts_s >= _UNDECIDED_S:
+        if motion.t_s - suspicion.acts_s >= STEADY_S:
             shows = (
                 f"the fingers do not run together from {1e3 * motion.aperture_m:.1f} mm although "
                 f"the motors press with {pressing_n:.1f} N beyond friction"
@@ -355,7 +340,7 @@ class PartWatch:
             late_n = [one.grip_n for one in recent if one.measured_s >= began_s]
             if late_n:
                 mean_n = sum(late_n) / len(late_n)
-                if mean_n > max(self.pads.empty_n, _HELD_SHARE * began_n):
+                if mean_n > max(self.pads.empty_n, PRESENT_SHARE * began_n):
                     self._run_from = moment.now_s, state.aperture_m, force_n
                     return self._meets_nothing(state, sample, stiffness_n_m)
                 return travel_m >= settings.runaway_travel_m
@@ -401,7 +386,7 @@ class PartWatch:
         """
         if rises or self._rose_s is None:
             self._rose_s = moment.now_s
-        if moment.now_s - self._rose_s <= _SINKS_S:
+        if moment.now_s - self._rose_s <= BRIEF_S:
             self._sunk_m = moment.state.aperture_m
         # No part presses on both pads of fingers that are wider open than at the contact, or
         # closed. A small part in the foam may sink further by the creep of the foam.
@@ -410,7 +395,7 @@ class PartWatch:
         possible = least_m <= aperture_m <= self._widest_m or not self.pads.loaded
         self._contradicted_s = 0.0 if possible else self._contradicted_s + moment.dt_s
         first_n, second_n = self.pads.recent.finger_means_n
-        if self._contradicted_s >= _EMPTY_S:
+        if self._contradicted_s >= BRIEF_S:
             raise PositionContradicted(
                 f"the servos report an opening of {aperture_m * 1e3:.1f} mm while the pads "
                 f"measure {first_n:.2f} and {second_n:.2f} N on a part that can be from "

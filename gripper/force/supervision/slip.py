@@ -8,8 +8,8 @@ from statistics import fmean
 from typing import NamedTuple
 
 from gripper.errors import PartSlipped
+from gripper.force.certainty import BRIEF_S, FAULT_SDS, PRESENT_SHARE, STEADY_S
 from gripper.force.loop import Moment
-from gripper.force.supervision.part_watch import STEADY_S
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import FRAME_S, ForceSample, RecentForce
 
@@ -20,20 +20,12 @@ _USUAL_LEAST_S = 0.75 * FRAME_S
 _QUIET_SHARE, _LEAST_SAMPLES = 0.125, 4
 """Noise of the mean present force, as a share of the least drop of a slip, and samples of that mean
 for a slower sensor. [tuned]"""
-_FALLING_SHARE = 0.5
-"""Share of the mean below which the newest sample shows a force that still falls, e.g. of a lost
-part, which the force control detects by itself. [tuned]"""
-_SLIDE_SETTLING_S = 0.1
-"""Time in s after the start of a hold before the centre of the force is compared. [tuned]"""
 _SLIDE_RECENT_S = 1.5 * FRAME_S
 """Duration in s of the present centre of the force: 2 samples at 50 Hz."""
 _SLIDE_BEFORE_S = 0.2
 """Duration in s of the centre before it, from which a sudden motion is measured. [tuned]"""
 _SLIDE_FIRST_S = 3.5 * FRAME_S
 """Time in s of samples, at least, before a centre is compared with theirs: 4 samples at 50 Hz."""
-_SLIDE_SIGMAS = 5.5
-"""Least motion above noise, in standard deviations of one axis: less than one false alarm in an
-hour of a hold, for two axes and 200 samples a second. [statistics]"""
 _SLIDE_LEAST_M = 0.0005
 """Sudden motion in m that is never a slide: a part that tilts slightly. [tuned]"""
 
@@ -100,7 +92,7 @@ class SlipWatch:
             return None
         held_n = min(self._usual_n, setpoint_n + settings.settle_tolerance_at_n(setpoint_n))
         drop_n = held_n - self._recent.grip_n
-        falls_on = self._recent.newest.grip_n < _FALLING_SHARE * self._recent.grip_n
+        falls_on = self._recent.newest.grip_n < PRESENT_SHARE * self._recent.grip_n
         low = drop_n > max(settings.slip_drop_n, settings.slip_drop_share * held_n)
         # One sample may be the mean of messages before and after the removal of a part.
         was_low, self._was_low = self._was_low or len(self._recent) > 1, low
@@ -136,7 +128,7 @@ class _Centre(NamedTuple):
     def beyond_m(self, other: "_Centre", allowed_m: float) -> float:
         """Return the distance in m; 0 if it is allowed or within the noise."""
         way_m = hypot(self.x_m - other.x_m, self.y_m - other.y_m)
-        noise_m = _SLIDE_SIGMAS * sqrt(self.variance_m2 + other.variance_m2)
+        noise_m = FAULT_SDS * sqrt(self.variance_m2 + other.variance_m2)
         return way_m if way_m > max(allowed_m, noise_m) else 0.0
 
 
@@ -171,7 +163,7 @@ class SlideWatch:
         if sample is None or not sample.valid or sample.centre_m is None:
             return None
         recent, before = self._recent, self._before
-        if held_s < _SLIDE_SETTLING_S or (recent and sample.t_s == recent[-1].t_s):
+        if held_s < BRIEF_S or (recent and sample.t_s == recent[-1].t_s):
             return None
         recent.append(sample)
         while sample.t_s - recent[0].t_s > _SLIDE_RECENT_S:

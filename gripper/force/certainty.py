@@ -1,0 +1,27 @@
+"""Certainty of decisions in the force loop: how far, and how long, a measurement must differ.
+
+The detectors share these limits, so that a change of one changes all decisions of its kind.
+"""
+
+from gripper.values.force_sensor import FRAME_S
+
+SURE_SDS = 3.0
+"""Standard deviations of a difference that is no noise. The next samples correct a wrong decision.
+[statistics]"""
+FAULT_SDS = 5.5
+"""Standard deviations of a difference that is a fault: less than one false alarm in an hour, for
+two coordinates and 200 samples a second. [statistics]"""
+PRESENT_SHARE = 0.5
+"""Share of an expected force above which it counts as present. [chosen]"""
+EMPTY_SHARE = 0.25
+"""Share of ``contact_force_n`` below which a pad is empty. [tuned]"""
+REACHED_SHARE = 0.8
+"""Share of a nominal speed or current above which it counts as reached. Below the rest of it the
+fingers stand. [chosen]"""
+BRIEF_S = 5 * FRAME_S
+"""Time in s of five frames: what is shorter decides nothing."""
+STEADY_S = 15 * FRAME_S
+"""Time in s in which force and fingers come to rest with any part. A contradiction that lasts
+longer is a fault."""
+STALLED_S = 25 * FRAME_S
+"""Time in s after which fingers that stand under their current will not move any more."""
