@@ -12,13 +12,12 @@ from gripper.force.approach.mechanics_proof import (
     meeting,
     not_met,
 )
-from gripper.force.certainty import STEADY_S
+from gripper.force.certainty import RUN_STEPS, STEADY_S
 from gripper.force.control.grip_control import GripControl
 from gripper.force.estimates.free_motion import FreeMotion
 from gripper.force.loop import Action, LoopRunner, Moment
 from gripper.force.ramp import ForceRamp
 from gripper.force.supervision.empty_grip import EmptyGrip
-from gripper.force.supervision.part_watch import RUN_STEPS
 from gripper.force.supervision.slip import LevelSlip
 from gripper.mechanics.transmission import Mechanics
 from gripper.servos.goal_limits import standing

@@ -2,6 +2,7 @@
 
 from math import inf
 
+from gripper.force.certainty import STEADY_S
 from gripper.force.control.grip_control import GIVE_RAD, GripControl
 from gripper.force.estimates.grip import History
 from gripper.force.loop import Action, Moment
@@ -14,9 +15,6 @@ that falls a gearing that holds its load gives way two or three times as fast. [
 _LOCKED_N_S, _LOCKED_SHARE = 30.0, 0.1
 """The rate while friction locks the finger: until the force has changed by this share of its range.
 [chosen]"""
-_LIMITED_S = 0.25
-"""Time in s without a change of the current after which a limit of the drive has ended it: four
-steps of the goal. [chosen]"""
 
 
 class LoadTrial:
@@ -68,7 +66,7 @@ class LoadTrial:
         locked = moved_n < _LOCKED_SHARE * (self._high_n - self._low_n)
         rate_n_s = _LOCKED_N_S if locked else _LOAD_N_S[self._rises]
         end_n = self._high_n if self._rises else self._low_n
-        done = self._sign * (control.force_n - end_n) >= 0.0 or self._stalled_s > _LIMITED_S
+        done = self._sign * (control.force_n - end_n) >= 0.0 or self._stalled_s > STEADY_S
         goals = self._goals(moment, rate_n_s)
         return Action(goals=goals, setpoint_n=self._high_n, done=done)
 

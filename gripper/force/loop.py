@@ -5,7 +5,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from gripper.clock import Clock
-from gripper.errors import BusCorrupt, BusTimeout, ForceSensorStale, GraspStopped, LimitExceeded
+from gripper.errors import (
+    BusCorrupt,
+    BusTimeout,
+    ForceSensorStale,
+    GraspStopped,
+    LimitExceeded,
+    PartLost,
+)
 from gripper.force.timing import LoopStatistics, LoopTimer
 from gripper.servos.bus_loss import BusLossMonitor
 from gripper.servos.goal_limits import ServoGoal
@@ -230,6 +237,10 @@ class LoopRunner:
         except LimitExceeded:
             # More force than can be is above the cap first of all, where it is beyond that too.
             self.servos.goals.check_force(noise_excluded=True)
+            raise
+        except PartLost:
+            # A finger without torque lets a part go: then that is the cause.
+            self.servos.check_torques()
             raise
         if action.goals is not None:
             self.servos.goals.write(action.goals, state)

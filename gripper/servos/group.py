@@ -521,6 +521,12 @@ class Servos:
                 torque_lost=True,
             )
 
+    def check_torques(self) -> None:
+        """Raise ServoFault when a servo has lost its torque; a lost answer decides nothing."""
+        for servo_id in self._ids:
+            with self.in_loop(), suppress(BusTimeout, BusCorrupt):
+                self.check_torque(servo_id)
+
     def has_tripped(self, servo_id: int) -> bool:
         """Read the bus watchdog of a servo (register 98); return whether it has tripped."""
         return self._bus.read(servo_id, BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW

@@ -38,8 +38,8 @@ SYNC_S = 0.02
 """Period of SYNC."""
 BURST_S = 0.0075
 """A frame is whole so long after its SYNC."""
-SETS_S = 0.06 + LOOP_S
-"""Three sets that are missing, counted from the first, and the next look."""
+SETS_S = 0.06 + LOOP_S + READ_S
+"""Three sets that are missing, counted from the first, and the next look, after a reading."""
 BOOT_S = 0.02
 """Of the control unit."""
 FORCE_STALE_S = 0.1

@@ -168,9 +168,8 @@ class ContactRest:
 
 _LEAD_M = 0.006
 """Lead of the goal before the fingers in m: their motion if no further goal is written. [chosen]"""
-_BRAKED_S, _UNSURE_S = 0.01, 0.05
-"""Times in s for which a braked finger stops, and after which it runs on without force on its pad.
-[chosen]"""
+_BRAKED_S = 0.01
+"""Time in s for which a braked finger stops. [chosen]"""
 _CREEP_N, _CREEP_N_S = 0.2, 20.0
 """First drive in N of a braked finger, less than the force of the pad, and its growth in N/s.
 [tuned]"""
@@ -360,7 +359,7 @@ class Approach:
                 if shows[index] and moment.young:
                     finger.braked_s = moment.now_s
                     finger.drive_n = _CREEP_N
-            elif moment.now_s - finger.braked_s > _UNSURE_S and not lasts[index]:
+            elif moment.now_s - finger.braked_s > BRIEF_S and not lasts[index]:
                 finger.braked_s = None
                 self._aperture_m = moment.state.aperture_m - self._lead_m
 

@@ -9,6 +9,7 @@ from gripper.errors import (
     PositionContradicted,
 )
 from gripper.force.approach.mechanics_proof import mechanics_text
+from gripper.force.certainty import BRIEF_S, STEADY_S
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.impact import closing_current_max_a, closing_speed_m_s
 from gripper.mechanics.transmission import BOOST_PER_S, Mechanics, Transmission
@@ -21,13 +22,12 @@ from gripper.servos.goal_limits import (
 )
 from gripper.servos.motion import slow_rad_s, still_rad
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.values.force_sensor import FRAME_S, LEAST_SAMPLES, RecentForce
+from gripper.values.force_sensor import LEAST_SAMPLES, RecentForce
 from gripper.values.state import ServoFeedback, ServoState
 
-_STANDING_S, _STANDING_RAD = 0.2, 0.03
-"""Time in s for which empty fingers must stand after their torque has come on, because friction at
-rest makes a motor slow to start; travel in rad in it of a moving finger: 2 mm with links of 60 mm.
-[chosen]"""
+_MOVED_RAD = 0.03
+"""Travel in rad that excludes friction and backlash as the cause of a motion, or of a standstill:
+2 mm with links of 60 mm. [chosen]"""
 _REACHED_PULSES = 2.0
 """Distance in counts of the encoder at which a finger has reached its goal. [resolution]"""
 _PATIENCE_S = 2.0
@@ -38,21 +38,14 @@ _RUN_RAD = 0.01
 _OPENING_N, _LEAST_N = 3.0, 0.5
 """Forces in N beside friction that the current allows: of an opening, because pads may stick to a
 part, and of the least current. [chosen]"""
-_RISING_S = 0.25
-"""Time in s in which the current of an opening rises from that which moves the fingers: if they
-close instead, the pads show it before. [chosen]"""
 _LEAD_RAD = 0.04
 """Largest lead of a goal before its finger in rad: the least current is then at its limit.
 [resolution]"""
-_BLOCKED_S, _BACK_RAD = 0.05, 0.03
-"""Time in s at the limit of its current after which a standing finger is blocked. Travel in rad on
-its way back that excludes friction as the cause. [chosen]"""
+_BLOCKED_S = 0.05
+"""Time in s at the limit of its current after which a standing finger is blocked. [chosen]"""
 _RISE_N, _RISE_SHARE = 1.0, 0.2
 """Rise of the grip force that an opening cannot cause: in N, or as a share of the first force if
 that is more. [chosen]"""
-_QUIET_N, _LONGEST_S = 0.15, 3 * FRAME_S
-"""Noise in N of a mean force that is compared, and longest time in s of its samples: a rise that
-ends a release is shown by one more than usual. [tuned]"""
 
 
 class StandStill:
@@ -72,7 +65,7 @@ class StandStill:
     def __init__(self, settings: GripperSettings, state: ServoFeedback) -> None:
         self._models = [one.servo_model for one in settings.servos]
         self._start_rad = state.angles_rad
-        self._periods = self._left = round(_STANDING_S / settings.period_s)
+        self._periods = self._left = round(2.0 * BRIEF_S / settings.period_s)
         self._sums_a = [0.0] * len(self._models)
 
     def step(self, moment: Moment) -> Action:
@@ -85,7 +78,7 @@ class StandStill:
             mean_a = self._sums_a[index] / self._periods
             away_rad = abs(running_lead_rad(model, mean_a, 0.0))
             drives = away_rad > abs(moved_rad) + _REACHED_PULSES * model.rad_per_pulse
-            if abs(moved_rad) > _STANDING_RAD or (done and drives):
+            if abs(moved_rad) > _MOVED_RAD or (done and drives):
                 raise FeedbackImplausible(
                     f"servo {servo.servo_id}: it has moved by {moved_rad:+.3f} rad, with "
                     f"{mean_a:+.3f} A, although its goal is the position that it reported: the "
@@ -189,7 +182,7 @@ class MoveTo:
             )
         self._look(moment)
         passed_s = moment.now_s - self._begun_s
-        rising = min(1.0, passed_s / _RISING_S) if self._opening else 1.0
+        rising = min(1.0, passed_s / STEADY_S) if self._opening else 1.0
         goals = []
         for finger, servo in zip(self._fingers, moment.state.servos, strict=True):
             angle_rad = finger.goal_rad(servo, moment.dt_s)
@@ -263,7 +256,7 @@ class FirstMotion(MoveTo):
                 angle_rad = finger.goal_rad(servo, moment.dt_s, back=back)
                 if finger.still_s >= _BLOCKED_S:
                     self._turn(finger, servo)
-                elif back and -finger.way_rad(servo) >= _BACK_RAD:
+                elif back and -finger.way_rad(servo) >= _MOVED_RAD:
                     raise self._contradicted(
                         servo, "it is blocked on its way, and free on its way back"
                     )
@@ -370,7 +363,7 @@ class _ForceRise:
     """Detector of a grip force that grows although the fingers open."""
 
     def __init__(self) -> None:
-        self._recent = RecentForce(_QUIET_N, longest_s=_LONGEST_S)
+        self._recent = RecentForce()
         self._least_n = inf
 
     def growth(self, moment: Moment) -> str:

@@ -32,39 +32,32 @@ from gripper.force.loop import Moment
 from gripper.mechanics.impact import CURRENT_S, ImpactLimit, current_share, impact_limit
 from gripper.mechanics.transmission import Drives, Transmission, driving_n, mean_yielding_n
 from gripper.servos.goal_limits import MOST_STICTION, pressing_speed_m_s
-from gripper.values.force_sensor import FRAME_S, LOOK_BACK_S, ForceSample
+from gripper.values.force_sensor import FRAME_S, LOOK_BACK_S, QUIET_N, ForceSample
 from gripper.values.state import ServoFeedback
 
 _ACTS_S = 0.001 + CURRENT_S
 """Time in s from the feedback of a period until its goals act: the write and the current.
 [assumed]"""
-_FORCE_S, _SPEED_S = 0.04, 0.012
-"""Time constants T_f and T_v in s: T_f is two frames. T_v is four currents, after which a sample
-also shows the effect of a push. [chosen]"""
-_RATE_S = 0.025
-"""Time in s in which the rate of the plan reaches that of its ramp. [chosen]"""
+_FORCE_S, _SPEED_S = 2.0 * FRAME_S, 4.0 * CURRENT_S
+"""Time constants T_f and T_v in s. After T_v a sample also shows the effect of a push."""
 _LEAST_RATE_N_S = 5.0
 """Rate in N/s of the plan of a small change. [chosen]"""
 _INERTIA_N = 2.0
 """Largest force in N for the mass in a plan: a soft part makes the plan slower. [chosen]"""
-_RAMP_N, _HOLD_N = 0.08, 0.15
-"""Errors in N at which fingers at rest start: on a ramp, and in a hold (half of the aim of 0.3 N).
-Against the direction, through the whole friction, the second one comes to it. [chosen]"""
+_HOLD_N = 0.15
+"""Error in N at which fingers at rest start in a hold: half of the aim of 0.3 N. On a ramp it is
+the noise of a mean. Against the direction, through the whole friction, this one comes to it.
+[chosen]"""
 _NEAR_N = 0.03
 """Distance in N from its end at which a motion stops. [chosen]"""
 _BRAKE_SHARE = 0.5
 """Share of the friction by which the drive brakes beside the friction itself. [chosen]"""
 _STRONGER, _WEAKER = 1.15, 0.98
 """Factors on the assumed stiction after a push without, and with, effect. [chosen]"""
-_BEYOND_N = 0.1
-"""Push in N beyond the assumed friction at rest. [chosen]"""
 _MOTION_STEPS = 1.5
 """Change of the opening in steps of its resolution that shows a motion. [resolution]"""
 _LEAST_OPENING_SHARE = 0.3
 """Least friction of opening fingers over that of closing ones. [chosen]"""
-_JUMP_N = 0.8
-"""Sudden growth of the measured force in N that no drive makes. As a share of the set-point it is
-that of a slip. [chosen]"""
 _JUMP_S = 0.75 * FRAME_S
 """Time in s after which a jump is an error. [chosen]"""
 _MOST_MISSING_N = 3.0
@@ -181,7 +174,7 @@ class Pushes:
 
         A spring yields to a sudden drive by the force of twice the drive at most.
         """
-        beyond_n = (self._drives.stiction - 1.0) * friction_n + _BEYOND_N
+        beyond_n = (self._drives.stiction - 1.0) * friction_n + QUIET_N
         speed_m_s = beyond_n * dt_s / observer.mass_kg
         return beyond_n, speed_m_s, min(observer.stiffness_n_m * speed_m_s * dt_s, 2.0 * beyond_n)
 
@@ -303,7 +296,7 @@ class ForceLaw:
             period.end_n,
             ramp_n_s=ramp_n_s,
             most_n_s=self._most_m_s * stiffness,
-            change_n_s2=min(max(abs(ramp_n_s), _LEAST_RATE_N_S) / _RATE_S, most_n_s2),
+            change_n_s2=min(max(abs(ramp_n_s), _LEAST_RATE_N_S) / FRAME_S, most_n_s2),
         )
 
     def _starting_n(
@@ -317,7 +310,7 @@ class ForceLaw:
         rate_n_s, sign = self.plan.rate_n_s, copysign(1.0, error_n)
         *_, step_n = self._pushes.effect(self.observer, period.moment.dt_s, frictions_n[0])
         # A push that changes the force by more than twice the error makes the error larger.
-        least_n = _HOLD_N if rate_n_s == 0.0 else _RAMP_N
+        least_n = _HOLD_N if rate_n_s == 0.0 else QUIET_N
         least_n = max(least_n, self.observer.force_sd_n, 0.5 * step_n)
         if sign * rate_n_s < 0.0 or (sign < 0.0 and rate_n_s == 0.0):
             least_n += _HOLD_N
@@ -365,7 +358,7 @@ class ForceLaw:
         growth_n = self._pushes.growth_n
         unseen_s = 2.0 * (period.moment.now_s - sample.measured_s) + _SPEED_S
         slow = abs(self.plan.rate_n_s) * unseen_s > growth_n
-        return slow or short_n > 2.0 * growth_n + max(_RAMP_N, self.observer.force_sd_n)
+        return slow or short_n > 2.0 * growth_n + max(QUIET_N, self.observer.force_sd_n)
 
     def _jumps(self, sample: ForceSample, period: Period) -> bool:
         """Return whether a sample shows a large jump of the force that no drive has made.
@@ -378,7 +371,8 @@ class ForceLaw:
         # After a wrong prediction the force is unexplained too, but it has not grown.
         grown_n = sample.grip_n - self._samples_n.at(sample.t_s - LOOK_BACK_S)
         jump_n = min(observer.unexplained_n(sample), grown_n)
-        least_n = max(_JUMP_N, self._grip.settings.slip_drop_share * setpoint_n)
+        settings = self._grip.settings
+        least_n = max(settings.slip_drop_n, settings.slip_drop_share * setpoint_n)
         least_n += SURE_SDS * hypot(sample.noise_n, observer.force_sd_n)
         if jump_n <= least_n:
             self._jumped_s = None

@@ -41,9 +41,8 @@ _RIPPLE_M_S = 0.0004
 _MISSING_N_RS, _MISSING_N_RM = 1.0, 200.0
 """Random walk of the missing drive in N per root of a second, and the same for each m/s: friction
 changes with place and speed. [chosen]"""
-_LEAST_LOG_SD, _HARDER = 0.3, 7.0
-"""Least standard deviation of ln k, because foam hardens; and the factor by which a part may be
-harder that the fingers meet at speed. [chosen]"""
+_LEAST_LOG_SD = 0.3
+"""Least standard deviation of ln k, because foam hardens. [chosen]"""
 _IDENTITY = np.eye(5)
 _WAY = _IDENTITY[3]
 """Derivative of a measured way by the state."""
@@ -90,7 +89,7 @@ class GripObserver:
     def meets_stiffness(self, change_n: float) -> None:
         """Allow for a stiffer part, whose force has changed by N more than the model explains."""
         self.resume(change_n)
-        self._estimate.allow_harder(_HARDER)
+        self._estimate.allow_harder()
         self._take_stiffness()
 
     def resume(self, change_n: float = _START_SD_N) -> None:

@@ -5,24 +5,21 @@ from dataclasses import dataclass
 from math import inf, sqrt
 
 from gripper.dynamixel.drive import SIGMAS
-from gripper.force.certainty import EMPTY_SHARE
+from gripper.force.certainty import EMPTY_SHARE, RUN_STEPS
 from gripper.force.loop import Moment
 from gripper.mechanics.transmission import Mechanics
 from gripper.settings import GripperSettings
-from gripper.values.force_sensor import ONE_FRAME_S
+from gripper.values.force_sensor import LEAST_SAMPLES, ONE_FRAME_S
 
 _LENGTH = 128
 """Periods kept of a value: 0.64 s at 200 Hz, several times the delay of a sensor. [chosen]"""
-_MEAN_SAMPLES = 3
-"""Number of samples in a mean for a stiffness: 60 ms at 50 Hz. [tuned]"""
 KNOWN_N = 3.0
 """Force in N from which a stiffness is known well; it is measured anew each 0.7 N. [tuned]"""
 _SLOPE_N = 0.7
 """Growth of the force in N for one stiffness: several times the noise. [tuned]"""
-_HARDENS = 3.0
-"""Factor by which foam may be harder at the next travel; it does not become softer. [assumed]"""
-_LEAST_STEPS = 3.0
-"""Travel in steps of the opening after which the next stiffness begins. [chosen]"""
+_HARDENS = 5.0
+"""Factor by which foam may be harder at the next travel, or a part that the fingers meet at speed.
+[assumed]"""
 SOFTEST_N_M, STIFFEST_N_M = 200.0, 5e4
 """Stiffness in N/m of the softest and of the hardest part between the pads: foam, and steel.
 [chosen]"""
@@ -84,7 +81,7 @@ class StiffnessEstimate:
         """Opening of the last periods in m."""
         self._block: list[tuple[float, float]] = []
         self._block_s, self._block_m = -inf, 0.0
-        self._pairs: deque[tuple[float, float]] = deque(maxlen=_MEAN_SAMPLES)
+        self._pairs: deque[tuple[float, float]] = deque(maxlen=LEAST_SAMPLES)
         self._anchor: tuple[float, float] | None = None
         self._sample_s: float | None = None
         self.stiffness_n_m: float | None = None
@@ -117,18 +114,18 @@ class StiffnessEstimate:
         if self._anchor is None:
             return
         # The anchor is a mean of several blocks.
-        noise_n = SIGMAS * sample.noise_n * sqrt((1.0 + 1.0 / _MEAN_SAMPLES) / n)
+        noise_n = SIGMAS * sample.noise_n * sqrt((1.0 + 1.0 / LEAST_SAMPLES) / n)
         self._bound(pair[0] - self._anchor[0], self._anchor[1] - pair[1], noise_n, way_m)
-        if len(self._pairs) < _MEAN_SAMPLES:
+        if len(self._pairs) < LEAST_SAMPLES:
             return
-        mean_n = sum(pair[0] for pair in self._pairs) / _MEAN_SAMPLES
-        mean_m = sum(pair[1] for pair in self._pairs) / _MEAN_SAMPLES
+        mean_n = sum(pair[0] for pair in self._pairs) / LEAST_SAMPLES
+        mean_m = sum(pair[1] for pair in self._pairs) / LEAST_SAMPLES
         growth_n, travel_m = mean_n - self._anchor[0], self._anchor[1] - mean_m
         if growth_n >= _SLOPE_N:
             self.stiffness_n_m = min(growth_n / max(travel_m, self.step_m), STIFFEST_N_M)
-            if travel_m >= _LEAST_STEPS * self.step_m:
+            if travel_m >= RUN_STEPS * self.step_m:
                 self._anchor = mean_n, mean_m
-                self.allow_harder(_HARDENS)
+                self.allow_harder()
 
     def _bound(self, growth_n: float, travel_m: float, noise_n: float, way_m: float) -> None:
         """Reduce the bounds by a growth of the force; where it contradicts them, they follow it.
@@ -147,10 +144,10 @@ class StiffnessEstimate:
             least_n_m = min(least_n_m, most_n_m)
         self.bounds_n_m = least_n_m, most_n_m
 
-    def allow_harder(self, factor: float) -> None:
-        """Raise the upper bound by a factor."""
+    def allow_harder(self) -> None:
+        """Raise the upper bound."""
         least_n_m, most_n_m = self.bounds_n_m
-        self.bounds_n_m = least_n_m, min(factor * most_n_m, STIFFEST_N_M)
+        self.bounds_n_m = least_n_m, min(_HARDENS * most_n_m, STIFFEST_N_M)
 
 
 @dataclass(slots=True, kw_only=True)

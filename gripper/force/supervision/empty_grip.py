@@ -2,10 +2,10 @@
 
 from gripper.errors import GripContradicted
 from gripper.force.approach.approach import Approach, ApproachEvent
-from gripper.force.certainty import PRESENT_SHARE, STALLED_S
+from gripper.force.certainty import PRESENT_SHARE, RUN_STEPS, STALLED_S
 from gripper.force.estimates.grip import SOFTEST_N_M
 from gripper.force.loop import Action, Moment
-from gripper.force.supervision.part_watch import ADVICE, BREAKAWAY_SHARE, RUN_STEPS, FrameMean
+from gripper.force.supervision.part_watch import ADVICE, BREAKAWAY_SHARE, FrameMean
 from gripper.mechanics.transmission import Mechanics
 from gripper.servos.goal_limits import standing
 from gripper.servos.group import frozen
@@ -15,9 +15,6 @@ from gripper.values.state import ServoFeedback
 _CONFIRMING_FRAMES = 3
 """Frames after the stop of the fingers that confirm that nothing is held: in their mean no earlier
 touched taxel still counts as touched. [tuned]"""
-
-_CLOSED_STEPS = 2.0
-"""Largest distance of closed fingers from their smallest opening, in steps. [resolution]"""
 _CLOSED_ADVICE = (
     "The fingers are closed (gripper.aperture_min_mm): a part is too small to be held, or the pads "
     "press on each other because gripper.approach_speed_mm_s is high. The grip is kept: look, then "
@@ -119,7 +116,7 @@ class EmptyGrip:
             if sample.frame_s is None:
                 frames = ""
             opening_m, least_m = moment.state.aperture_m, self._settings.aperture_min_m
-            closed = opening_m - least_m <= _CLOSED_STEPS * self._step_m
+            closed = opening_m - least_m <= RUN_STEPS * self._step_m
             advice = _CLOSED_ADVICE if closed else ADVICE
             raise GripContradicted(
                 f"the grasp has ended without a part at an opening of "

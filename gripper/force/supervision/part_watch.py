@@ -11,7 +11,14 @@ from math import inf, sqrt
 from typing import NamedTuple
 
 from gripper.errors import ForceImbalance, GripContradicted, PositionContradicted
-from gripper.force.certainty import BRIEF_S, EMPTY_SHARE, PRESENT_SHARE, STEADY_S, SURE_SDS
+from gripper.force.certainty import (
+    BRIEF_S,
+    EMPTY_SHARE,
+    PRESENT_SHARE,
+    RUN_STEPS,
+    STEADY_S,
+    SURE_SDS,
+)
 from gripper.force.estimates.grip import KNOWN_N, SOFTEST_N_M, Grip
 from gripper.force.loop import Moment
 from gripper.mechanics.transmission import driving_n, mean_friction_n
@@ -19,14 +26,9 @@ from gripper.settings import GripperSettings
 from gripper.values.force_sensor import LOOK_BACK_S, ONE_FRAME_S, ForceSample, RecentForce
 from gripper.values.state import ServoFeedback
 
-_RUN_M_S, RUN_STEPS = 0.008, 3.0
-"""Growth of the closing speed in m/s, and travel in steps of the opening, above which nothing holds
-the fingers apart: three counts of each. On a part they come to rest under a constant drive.
-[resolution]"""
-_FIRM_N_M = 1000.0
-"""Least stiffness in N/m of a part with which this travel is no oscillation. [tuned]"""
-_FOLLOWS_S = 0.03
-"""Time in s for which fingers on a part keep their speed under a constant drive. [tuned]"""
+_RUN_M_S = 0.008
+"""Growth of the closing speed in m/s above which nothing holds the fingers apart: three counts. On
+a part they come to rest under a constant drive. [resolution]"""
 _PRESSING_N, BREAKAWAY_SHARE = 1.0, 0.3
 """Driving force in N beyond friction at rest that certainly moves free fingers, and the largest
 ratio of that friction to friction in motion. [assumed]"""
@@ -37,7 +39,7 @@ the load in N by a known stiffness above which the travel alone shows that the p
 _BLIND_N, _BLIND_SHARE = 6.0, 0.05
 """Growth of the force in N that the stiffness predicts for a travel. Below this share of it the
 pads do not measure the load of the fingers. [tuned]"""
-_CREEP_M = 0.0005
+CREEP_M = 0.0005
 """Distance in m by which foam may yield after a rise: a sixth of the yield of two pads of 3 mm.
 [chosen]"""
 _SUDDEN_RATIO = 6.0
@@ -286,7 +288,6 @@ class PartWatch:
         stiffness_n_m = stiffness_n_m or SOFTEST_N_M
         step_m = grip.stiffness.step_m
         if _run(moment, motion, suspicion.began, stiffness_n_m, RUN_STEPS * step_m):
-            self.ran = stiffness_n_m >= _FIRM_N_M
             return True
         if suspicion.frames and min(suspicion.frames.finger_means_n) > self.pads.loaded_n:
             first_n, second_n = suspicion.frames.finger_means_n
@@ -391,7 +392,7 @@ class PartWatch:
         # No part presses on both pads of fingers that are wider open than at the contact, or
         # closed. A small part in the foam may sink further by the creep of the foam.
         settings, aperture_m = self._grip.settings, moment.state.aperture_m
-        least_m = min(settings.least_pressed_m, self._sunk_m - _CREEP_M)
+        least_m = min(settings.least_pressed_m, self._sunk_m - CREEP_M)
         possible = least_m <= aperture_m <= self._widest_m or not self.pads.loaded
         self._contradicted_s = 0.0 if possible else self._contradicted_s + moment.dt_s
         first_n, second_n = self.pads.recent.finger_means_n
@@ -427,7 +428,6 @@ def _run(
     yields_m = max(0.0, motion.drive_n - began.drive_n) / stiffness_n_m
     travel_m = began.aperture_m - motion.aperture_m
     before_m_s = max(0.0, began.closing_m_s)
-    before_m = before_m_s * min(motion.t_s - began.t_s, _FOLLOWS_S)
-    far = travel_m >= run_m + yields_m + before_m and motion.closing_m_s >= before_m_s
+    far = travel_m >= run_m + yields_m and motion.closing_m_s >= before_m_s
     faster = motion.closing_m_s - before_m_s >= _RUN_M_S and travel_m >= yields_m
     return far or faster

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from gripper.errors import PartSlipped
 from gripper.force.certainty import BRIEF_S, FAULT_SDS, PRESENT_SHARE, STEADY_S
 from gripper.force.loop import Moment
+from gripper.force.supervision.part_watch import CREEP_M
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import FRAME_S, ForceSample, RecentForce
 
@@ -17,17 +18,12 @@ _USUAL_TIME_S = 0.6
 """Time constant in s of the usual force, from which a drop is measured. [tuned]"""
 _USUAL_LEAST_S = 0.75 * FRAME_S
 """Time in s of samples that make a first usual force: one at 50 Hz."""
-_QUIET_SHARE, _LEAST_SAMPLES = 0.125, 4
-"""Noise of the mean present force, as a share of the least drop of a slip, and samples of that mean
-for a slower sensor. [tuned]"""
 _SLIDE_RECENT_S = 1.5 * FRAME_S
 """Duration in s of the present centre of the force: 2 samples at 50 Hz."""
 _SLIDE_BEFORE_S = 0.2
 """Duration in s of the centre before it, from which a sudden motion is measured. [tuned]"""
 _SLIDE_FIRST_S = 3.5 * FRAME_S
 """Time in s of samples, at least, before a centre is compared with theirs: 4 samples at 50 Hz."""
-_SLIDE_LEAST_M = 0.0005
-"""Sudden motion in m that is never a slide: a part that tilts slightly. [tuned]"""
 
 
 class SlipWatch:
@@ -41,7 +37,7 @@ class SlipWatch:
 
     def __init__(self, settings: GripperSettings) -> None:
         self._settings = settings
-        self._recent = RecentForce(_QUIET_SHARE * settings.slip_drop_n, least=_LEAST_SAMPLES)
+        self._recent = RecentForce()
         self._usual_n = self._usual_s = 0.0
         self._was_low = False
         self._aperture_m: float | None = None
@@ -175,7 +171,7 @@ class SlideWatch:
                 return None
             self._first = _Centre.of(before)
         now, slide_m = _Centre.of(recent), self._settings.slide_m
-        sudden_m = now.beyond_m(_Centre.of(before), min(_SLIDE_LEAST_M, slide_m))
+        sudden_m = now.beyond_m(_Centre.of(before), min(CREEP_M, slide_m))
         along_m = max(sudden_m, now.beyond_m(self._first, slide_m))
         return f"it has slid along the pads by {1e3 * along_m:.2f} mm" if along_m > 0.0 else None
 
