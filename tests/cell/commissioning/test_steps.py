@@ -302,7 +302,7 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
         (REST, "taxels.offset=900", FAIL, "No zero can be taken"),
         (REST, "unit.stuck", FAIL, "The counts do not change at rest"),
         (
-            *(FORCE, "can.loss=0.0005, servos.loss=0.02", WARN),
+            *(FORCE, "can.lose_next=6@contact, servos.loss=0.02", WARN),
             "The line of the pads loses messages, The servos' line loses answers",
         ),
         (FORCE, "servo1.watchdog_off", FAIL, "watchdog is not proven to stop the motors: servo 1"),
