@@ -29,6 +29,7 @@ from tactile.can.sdo_client import PolledSdoClient
 from tactile.control_unit.object_dictionary import (
     FORCE_MESSAGE,
     FORCES_TIMER,
+    FRAMES_COB_ID,
     PRODUCT_CODE,
     VENDOR_ID,
 )
@@ -52,13 +53,15 @@ _RATE_FRAMES = 100
 _LEAST_RATE = 0.8
 """Frames for the measured rate of boards, and the share of the usual rate below which it is
 reported."""
-_UNITS = {
-    "Synchronous window length": " in us",
-    "Communication cycle period": " in us",
-    "Producer heartbeat time": " in ms",
-    FORCES_TIMER: " in ms",
+_WRITTEN = {
+    "COB-ID SYNC message": "COB-ID of SYNC (1005h)",
+    "Synchronous window length": "SYNC window (1007h) in us",
+    "Communication cycle period": "SYNC period (1006h) in us",
+    "Producer heartbeat time": "heartbeat (1017h) in ms",
+    FRAMES_COB_ID: "COB-ID of frames (1800h:1)",
+    FORCES_TIMER: "period of force messages (1801h:5) in ms",
 }
-"""Units of objects that a start writes (CiA 301, 7.5.2); an EDS has none."""
+"""Objects that a start writes, in words, by their names in the EDS."""
 _KIND = ("Vendor-ID", "Product code")
 """Parts of the identity object (1018h) that distinguish a control unit from a drive."""
 _FRAMES = 10
@@ -362,12 +365,6 @@ def _writes(
         )
     where, undo = f"control unit, node {node_id}", "switch it off and on; it is not stored"
     return [
-        ProposedChange(
-            where,
-            objects.label(name) + _UNITS.get(name, ""),
-            str(objects[name].raw),
-            str(number),
-            undo,
-        )
+        ProposedChange(where, _WRITTEN[name], str(objects[name].raw), str(number), undo)
         for name, number in written(link, node_id, forces=forces).items()
     ]

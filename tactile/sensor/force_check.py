@@ -131,17 +131,14 @@ class ForceCheck:
     """Comparison of messages and frames by cumulative sums."""
 
     def __init__(self) -> None:
-        self._messages: deque[ForceMessage] = deque(maxlen=_STORED)
+        self.messages: deque[ForceMessage] = deque(maxlen=_STORED)
+        """The newest messages; add each one that arrives."""
         self.reset(0.0)
-
-    def add(self, message: ForceMessage) -> None:
-        """Add a message."""
-        self._messages.append(message)
 
     def reset(self, taxel_noise_n: float) -> None:
         """Discard messages and sums: a new zero, with this noise of one taxel in N."""
         self._taxel_noise_n = taxel_noise_n
-        self._messages.clear()
+        self.messages.clear()
         self._fingers = _TwoSidedSum(), _TwoSidedSum()
         self._axes = _TwoSidedSum(), _TwoSidedSum()
 
@@ -175,10 +172,10 @@ class ForceCheck:
             below the threshold.
         """
         began_s = scanned_s - _BEFORE_S
-        while len(self._messages) > 1 and self._messages[1].t_s < began_s:
-            self._messages.popleft()
+        while len(self.messages) > 1 and self.messages[1].t_s < began_s:
+            self.messages.popleft()
         # The one before shows a change of the force where messages are rare.
-        near = [one for one in self._messages if one.t_s <= scanned_s + _AFTER_S]
+        near = [one for one in self.messages if one.t_s <= scanned_s + _AFTER_S]
         messages = [one for one in near if one.t_s >= began_s]
         if not messages:
             return

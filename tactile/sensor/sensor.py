@@ -206,8 +206,7 @@ class TactileSensor:
             raise self._failed
         arrived = self.source.poll()
         self._new_forces.extend(arrived.forces)
-        for message in arrived.forces:
-            self._force_check.add(message)
+        self._force_check.messages.extend(arrived.forces)
         try:
             readings = tuple(self._reading(frame) for frame in arrived.frames)
         except (FrameTimeout, ForceContradicted) as fault:

@@ -193,8 +193,7 @@ def compared(
     centre: tuple[float, float] | None = (0.0, 0.0),
 ) -> None:
     """Give the check the messages from around a scan, and the frame."""
-    for one in messages:
-        check.add(one)
+    check.messages.extend(messages)
     check.compare(at_s, frame_n, noise_n, centre_taxels=centre)
 
 
@@ -209,8 +208,7 @@ def test_a_load_that_is_spread_over_a_pad_is_no_difference() -> None:
     check.reset(taxel_noise_n=0.045)
     for n in range(100):
         whole_n = 2.5 + draw.normal(0.0, 0.045 * 8.0, 2)
-        for one in around(0.02 * n, 2.5, 2.5):
-            check.add(one)
+        check.messages.extend(around(0.02 * n, 2.5, 2.5))
         check.compare(0.02 * n, (0.0, 0.8), 0.2, centre_taxels=(1.5, 0.0), whole_n=whole_n)
 
 
@@ -221,8 +219,7 @@ def test_a_light_touch_of_a_quiet_pad_may_lack_in_the_messages(*, hidden: bool) 
     check.reset(taxel_noise_n=0.0)
     with nullcontext() if hidden else pytest.raises(ForceContradicted, match=r"0\.00 N on"):
         for n in range(30):
-            for one in around(0.02 * n, 0.0, 0.0):
-                check.add(one)
+            check.messages.extend(around(0.02 * n, 0.0, 0.0))
             check.compare(0.02 * n, (0.0, 0.0) if hidden else force_n, 0.01, whole_n=force_n)
 
 
