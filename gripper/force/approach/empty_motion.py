@@ -280,6 +280,7 @@ class FirstMotion(MoveTo):
             if other is finger or not other.moved:
                 other.current_a = other.most_a
                 if not self._only_open:
+                    other.still_s = 0.0  # it has not stood with this current yet
                     other.lead_rad = closing_margin_rad(other.servo.servo_model, other.most_a)
 
     def _contradicted(self, servo: ServoState, cause: str) -> MechanicsContradicted:

@@ -178,6 +178,12 @@ def test_the_proof_costs_a_right_gripper_little_time(
     assert cell.clock.monotonic() - before_s < 0.03 / 0.06 + 0.15
 
 
+def test_two_stiff_fingers_that_stand_too_open_both_get_more_current(make_started) -> None:
+    """Both reach the limit of their current in the same period or in two that follow."""
+    cell = make_started(aperture_m=0.031, friction_error=0.6, present=False)
+    assert cell.gripper.open(0.03).aperture_m == pytest.approx(0.03, abs=4e-4)
+
+
 def test_a_finger_that_is_blocked_on_its_way_is_no_stiff_gearing(make_cell) -> None:
     """A part on the outside: here an open stop that comes before the opening."""
     cell = make_cell(aperture_m=0.02, present=False)
