@@ -92,6 +92,12 @@ class Fault:
         return bool(knob) and (first, knob) == (second, other.entry.knob) and not apart
 
 
+def _control_unit(fault: Fault) -> Any:
+    if isinstance(fault.devices.settings.boards, UskinSettings):
+        raise SimulatorSettingsError("this cell has sensor boards on CAN, no control unit")
+    return fault.devices.faults.unit
+
+
 def _serial_boards(fault: Fault) -> Any:
     if not fault.devices.boards:
         raise SimulatorSettingsError("this cell has no sensor boards on serial lines")
@@ -106,7 +112,7 @@ def _uskin_boards(fault: Fault) -> Any:
 
 _OWNERS: dict[str, Callable[[Fault], Any]] = {
     "can": lambda fault: fault.devices.faults.can,
-    "unit": lambda fault: fault.devices.faults.unit,
+    "unit": _control_unit,
     "taxels": lambda fault: fault.devices.faults.unit,
     "board": _serial_boards,
     "uskin": _uskin_boards,

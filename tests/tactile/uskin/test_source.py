@@ -169,5 +169,9 @@ def test_the_boards_hear_nothing_but_their_start(cell: SimulatedCell) -> None:
         cell.can_bus.send(can.Message(0.0, 0x201, False, data=data))
     cell.clock.sleep(0.1)
     assert cell.can_bus.recv_all(100) == []
-    with pytest.raises(SimulatorSettingsError, match="no sensor boards on serial lines"):
-        cell.inject("board.off")
+    for fault, why in (
+        ("board.off", "no sensor boards on serial lines"),
+        ("unit.pre_operational", "sensor boards on CAN, no control unit"),
+    ):
+        with pytest.raises(SimulatorSettingsError, match=why):
+            cell.inject(fault)
