@@ -180,6 +180,9 @@ class GoalWriter:
         """Add the newest force sample, if it shows a force; the same sample may come again."""
         if sample is None or not (sample.valid or sample.at_least):
             return
+        newest = self.newest_force
+        if newest is not None and sample.t_s - newest.t_s > self._settings.force_stale_s:
+            self._forces = RecentForce()  # those before a pause say nothing of the present force
         if self._forces.push(sample) is not None:
             self.newest_force = sample
 

@@ -131,6 +131,15 @@ def test_a_force_above_the_cap_counts_where_it_is_valid_or_more_and_while_it_is_
     writer.check([GOOD, GOOD], replace(state, t_s=writer._clock.monotonic()))
 
 
+@pytest.mark.parametrize(("pauses", "above"), [(0.5, True), (2.0, False)])
+def test_a_force_of_before_a_pause_is_no_part_of_the_present_mean(pauses, above) -> None:
+    writer, before = make_writer(), ForceSample(t_s=0.0, force_n=(60.0, 60.0))
+    writer.note_force(before)
+    later_s = pauses * PAIR.force_stale_s
+    writer.note_force(replace(before, t_s=later_s, force_n=(0.0, 0.0)))
+    assert writer.force_is_too_high() is above
+
+
 @pytest.mark.parametrize(
     ("goal", "drive_n"),
     [
