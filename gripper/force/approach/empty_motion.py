@@ -226,7 +226,6 @@ class FirstMotion(MoveTo):
 
     def _set_currents(self, paths: tuple[Transmission, ...]) -> None:
         self._back: _Finger | None = None
-        self._stands_m = 0.0
         super()._set_currents(paths)
         currents_a = self._mechanics.motion_currents_a(paths, _LEAST_N)
         for finger, current_a in zip(self._fingers, currents_a, strict=True):
