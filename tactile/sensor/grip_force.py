@@ -10,19 +10,13 @@ from tactile.source import ForceMessage, ForceStatus, TactileFrame, mean_centre_
 
 _MESSAGE_S = 0.0015
 """Time in s from a scan to the reception of its message: half a scan, the wire, the adapter."""
-_FRAME_CENTRE_N_M = 0.0014
-"""Noise of a frame's centre of force along one axis times the grip force, in N m: on a box in the
-simulated cell 0.3 mm at 3 N, times 1.5 because each frame is in three means."""
-_MESSAGE_CENTRE_N_M = 0.0024
-"""The same of one force message, of a single scan: 0.4 mm on a ball and 0.7 mm on a cylinder at 3 N
-in the simulated cell, 0.3 mm at 8 N."""
 _QUIET_FRAME_N = 0.1
 """Largest noise in N of the grip force in one frame that needs no mean over frames. A mean is older
 by a frame, and heavy fingers run too far meanwhile. FlexiTac has 0.04 N, the control unit 0.2 N.
 [chosen]"""
-_SATURATED = "a taxel of a gripping pad is saturated"
 _LEAST_FORCE_N = 0.1
-"""Least grip force in N for this noise, so that it stays finite."""
+"""Least grip force in N for the noise of its centre, so that it stays finite."""
+_SATURATED = "a taxel of a gripping pad is saturated"
 
 
 Sample = TypeVar("Sample")
@@ -91,7 +85,8 @@ class GripForce(Generic[Sample]):
             at_least=reading.at_least,
             reason=reading.reason,
             centre_m=self._in_m(self._centres.of(reading.force_n)),
-            centre_noise_m=_FRAME_CENTRE_N_M / max(0.5 * (left + right), _LEAST_FORCE_N),
+            # A mean of frames shares them with the next ones: they show no less noise than one.
+            centre_noise_m=self._noise_m(reading, 0.5 * (left + right)),
         )
 
     def _from_messages(self, messages: Sequence[ForceMessage], reading: TactileReading) -> Sample:
@@ -103,7 +98,6 @@ class GripForce(Generic[Sample]):
         )
         first_n = sum(message.force_n[0] for message in messages) / n
         second_n = sum(message.force_n[1] for message in messages) / n
-        grip_n = max(0.5 * (first_n + second_n), _LEAST_FORCE_N)
         return self._make(
             t_s=newest.t_s,
             force_n=(first_n, second_n),
@@ -111,7 +105,7 @@ class GripForce(Generic[Sample]):
             at_least=bool(reason) and at_least,
             reason=reason,
             centre_m=self._in_m(mean_centre_taxels(messages)),
-            centre_noise_m=_MESSAGE_CENTRE_N_M / grip_n / sqrt(n),
+            centre_noise_m=self._noise_m(reading, 0.5 * (first_n + second_n)) / sqrt(n),
             lag_s=_MESSAGE_S + newest.t_s - sum(message.t_s for message in messages) / n,
             noise_n=self._sensor.scan_noise_n / sqrt(n),
             frame_s=reading.frame.scanned_s,
@@ -123,6 +117,15 @@ class GripForce(Generic[Sample]):
         layout = self._sensor.layout
         pad = layout.pads[layout.gripping_pads[0]]
         return centre and (centre[0] * pad.pitch_x_m, centre[1] * pad.pitch_y_m)
+
+    def _noise_m(self, reading: TactileReading, grip_n: float) -> float:
+        """Return the larger noise of the centre's coordinates in m at a grip force in N.
+
+        It is that of a frame, whose force may be another one.
+        """
+        noise_m = max(self._in_m(reading.centre_noise_taxels) or ())
+        frame_n = max(0.5 * sum(reading.scan_force_n), _LEAST_FORCE_N)
+        return noise_m * frame_n / max(grip_n, _LEAST_FORCE_N)
 
     def take(self) -> list[TactileFrame]:
         """Return the frames since the last call, oldest first."""

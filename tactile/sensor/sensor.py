@@ -88,6 +88,9 @@ class TactileReading:
     """Force on the gripping pad of finger 0 and of finger 1 in N."""
     scan_force_n: tuple[float, float]
     """The same of this frame alone, on the taxels that were touched in the last frames."""
+    centre_noise_taxels: tuple[float, float]
+    """Standard deviation of the centre of the force in this frame, or in a message of its time,
+    along and across the fingers in pitches of the taxels; infinite without a force on both pads."""
     active: Mask
     saturated: Mask
     bad: Mask
@@ -356,10 +359,34 @@ class TactileSensor:
         force_n = np.where(active, self.calibration.force_n(tared), 0.0)
         all_n = self.calibration.force_n(counts)
         scan_n = np.where(active, all_n, 0.0)
+        # A count is more force on a loaded taxel than on an empty one.
+        slope = (self.calibration.force_n(counts + 1.0) - all_n) / self._per_count_n
+        pad_noise_n = 0.0 if tare is None else self._pad_noise_n[self.layout.taxel_pad]
+        noise_n = slope * pad_noise_n
+        # In its messages the unit also adds the neighbours of touched taxels.
+        near = self._hood.weighted(active.astype(np.float64)) > 0.0
+        summed = near if self.has_forces else active
+        centre = self._centres.of(scan_n)
+        centre_noise = (inf, inf)
+        if centre is not None and tare is not None:
+            centre_noise = self._centres.noise(scan_n, noise_n * summed)
         full_scale = self._full_scale(full)
         reason = self._objection(frame, full_scale, bad, saturated | bad, tared)
         if not reason and self.has_forces:
-            self._compare(frame, counts, active, scan_n, all_n)
+            variance_n2 = max(self.layout.on_fingers(active * noise_n**2))
+            variance_n2 = max(variance_n2, *(_LEAST_TOUCHED * self._grip_noise_n2))
+            # A finger without a taxel above the source's threshold may show nothing there.
+            mean = self._hood.weighted(counts) / _BINOMIAL
+            shown = [mean[one].max() > self._touch_counts for one in self.layout.gripping_taxels]
+            first_n, second_n = self.layout.on_fingers(scan_n)
+            self._force_check.compare(
+                frame.scanned_s,
+                (shown[0] * first_n, shown[1] * second_n),
+                sqrt(_EDGE * variance_n2),
+                centre_taxels=centre,
+                centre_noise_taxels=centre_noise,
+                whole_n=self.layout.on_fingers(all_n),
+            )
         for array in (tared, active, force_n, saturated, bad):
             array.setflags(write=False)
         counted = self.statistics
@@ -372,34 +399,13 @@ class TactileSensor:
             force_n=force_n,
             finger_force_n=self.layout.on_fingers(force_n),
             scan_force_n=self.layout.on_fingers(scan_n),
+            centre_noise_taxels=centre_noise,
             active=active,
             saturated=saturated,
             bad=bad,
             ok=not reason,
             at_least=bool(reason) and reason == full_scale,
             reason=reason,
-        )
-
-    def _compare(
-        self, frame: TactileFrame, counts: Values, active: Mask, scan_n: Values, all_n: Values
-    ) -> None:
-        # Noise of each touched taxel of a gripping pad in this frame: a count is more force on a
-        # loaded taxel than on an empty one.
-        slope = (self.calibration.force_n(counts + 1.0) - all_n) * active / self._per_count_n
-        noise_n = slope * self._pad_noise_n[self.layout.taxel_pad]
-        variance_n2 = [*self.layout.on_fingers(noise_n**2), *(_LEAST_TOUCHED * self._grip_noise_n2)]
-        centre = self._centres.of(scan_n)
-        # A finger without a taxel above the source's threshold may show nothing in the messages.
-        mean = self._hood.weighted(counts) / _BINOMIAL
-        shown = [mean[one].max() > self._touch_counts for one in self.layout.gripping_taxels]
-        first_n, second_n = self.layout.on_fingers(scan_n)
-        self._force_check.compare(
-            frame.scanned_s,
-            (shown[0] * first_n, shown[1] * second_n),
-            sqrt(_EDGE * max(variance_n2)),
-            centre_taxels=centre,
-            centre_noise_taxels=(0, 0) if centre is None else self._centres.noise(scan_n, noise_n),
-            whole_n=self.layout.on_fingers(all_n),
         )
 
     @property

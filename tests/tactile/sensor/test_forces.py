@@ -121,6 +121,21 @@ def test_the_force_of_quiet_frames_is_that_of_one_frame_and_of_noisy_ones_the_me
         assert sample.lag_s == reading.frame.t_s - reading.frame.scanned_s
 
 
+@pytest.mark.parametrize("rows", [2, 16])
+def test_the_noise_of_the_centre_follows_the_extent_of_the_contact(rows: int) -> None:
+    sensor, link, force = gripping()
+    forces_n = np.zeros(len(link.base))
+    for taxels in LAYOUT.gripping_taxels:
+        forces_n[taxels.start : taxels.start + 4 * rows] = 12.0 / (4 * rows)
+    link.base = counts_of(CALIBRATION, forces_n)
+    readings(sensor, link, 5)
+    samples = [force.latest_force() for _ in range(60) if readings(sensor, link, 1)]
+    scatter_m = np.std([sample.centre_m for sample in samples], axis=0).max()
+    claimed_m = np.mean([sample.centre_noise_m for sample in samples])
+    # Each frame is in three means, which are compared as if they had the noise of one frame.
+    assert 0.35 * claimed_m < scatter_m < 0.8 * claimed_m
+
+
 @pytest.mark.parametrize(
     ("status", "at_least"),
     [
