@@ -60,10 +60,6 @@ STICKING_DRIVE = DriveCharacteristic(
 """What a measurement of such servos finds."""
 
 
-def packed(text: str) -> bytes:
-    return bytes.fromhex(text.replace(" ", ""))
-
-
 @dataclass
 class ScriptedStream:
     """Answers exact requests with exact bytes, each piece after a delay; anything else fails."""
@@ -77,7 +73,7 @@ class ScriptedStream:
 
     def expect(self, request: str, *answers: str | tuple[float, str]) -> "ScriptedStream":
         pieces = [(0.0, a) if isinstance(a, str) else a for a in answers]
-        self.script.append((packed(request), [(d, packed(a)) for d, a in pieces]))
+        self.script.append((bytes.fromhex(request), [(d, bytes.fromhex(a)) for d, a in pieces]))
         return self
 
     def write(self, data: bytes, /) -> None:
@@ -145,7 +141,10 @@ class Part:
 
 
 class SampledForce:
-    """A force sensor: 50 Hz, delayed, noisy; ``rate_hz`` makes it send messages, each one scan."""
+    """A force sensor: 50 Hz, delayed, noisy; ``rate_hz`` makes it send messages, each one scan.
+
+    It reports ``gain`` times the force and ``offset_n`` N.
+    """
 
     def __init__(self, *, noise_n: float, seed: int, rate_hz: float | None) -> None:
         self.noise_n = noise_n
@@ -158,7 +157,7 @@ class SampledForce:
         self.dead = False
         self.valid = True
         self.at_least = False
-        self.gain = 1.0
+        self.gain, self.offset_n = 1.0, 0.0
         self._random = random.Random(seed)
         self._due_s = 0.0
         self._waiting: deque[tuple[float, ForceSample]] = deque()
@@ -170,7 +169,8 @@ class SampledForce:
         if now_s >= self._due_s and not self.dead:
             self._due_s += self.period_s
             noisy = tuple(
-                max(0.0, self.gain * f + self._random.gauss(0, self.noise_n)) for f in force_n
+                max(0.0, self.gain * f + self.offset_n + self._random.gauss(0, self.noise_n))
+                for f in force_n
             )
             t_s = now_s + self.known["lag_s"]
             sample = ForceSample(
@@ -212,7 +212,6 @@ class Cell:
         present: bool = True,
         noise_n: float = 0.2,
         kt_error: float = 0.0,
-        catalogue_torque: bool = False,
         friction_error: float = 0.0,
         aperture_m: float = 0.02,
         zero_raw: int = 2048,
@@ -227,7 +226,6 @@ class Cell:
         """Build the cell; from ``turned`` on, its settings may differ from its mechanics.
 
         ``width_m`` to ``present`` are those of the `Part`.
-        ``catalogue_torque``: the motors have the torque of the catalogue, not of the data sheet.
         ``drive_sds`` are the uncertainties of friction and torque, as a measurement leaves them.
         ``turned`` are indices of servos, ``zero_off`` is in pulses of opening too wide.
         """
@@ -238,9 +236,8 @@ class Cell:
         self.motors = [ServoMotor(model) for _ in range(n_servos)]
         # The friction of the catalogue; that of the data sheet is a loaded one.
         sheet = data_sheet(model)
-        kt_share = model.kt_nm_a / sheet.kt_nm_a if catalogue_torque else 1.0
         for motor in self.motors:
-            motor.kt_factor = kt_share * (1.0 + kt_error)
+            motor.kt_factor = 1.0 + kt_error
             motor.friction_factor = model.friction_nm / sheet.friction_nm * (1.0 + friction_error)
         mounts = [ServoMount(direction=d, zero_raw=zero_raw) for d in directions]
         own: Linkage

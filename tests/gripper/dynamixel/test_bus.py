@@ -30,7 +30,7 @@ REFUSED_1 = "FFFFFD00 01 0400 55 03 AB0C"
 
 def packet(text: str) -> str:
     """Return a packet with its checksum, as it goes over the wire."""
-    return text + crc16(bytes.fromhex(text.replace(" ", ""))).to_bytes(2, "little").hex()
+    return text + crc16(bytes.fromhex(text)).to_bytes(2, "little").hex()
 
 
 PING_2, PONG_2 = packet("FFFFFD00 02 0300 01"), "FFFFFD00 02 0700 55 00 060426 6F6D"

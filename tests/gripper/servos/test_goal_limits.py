@@ -60,11 +60,9 @@ def test_a_force_of_taxels_at_full_scale_is_a_lower_bound(make_cell, measured_n,
     cell = make_cell(force_max_n=6.0, rate_hz=200.0, noise_n=0.1)
     cell.hold_part(RAMP)
 
-    measure = cell.sensor.measure
-
     def fill() -> None:
         cell.sensor.valid, cell.sensor.at_least = False, at_least
-        cell.sensor.measure = lambda now_s, _: measure(now_s, (measured_n, measured_n))
+        cell.sensor.gain, cell.sensor.offset_n = 0.0, measured_n
 
     above, look, seen_s = at_least and measured_n > 6.0, cell.once(fill), [0.0]
 

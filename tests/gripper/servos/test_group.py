@@ -9,7 +9,6 @@ from gripper.errors import BusTimeout, ServoFault
 from gripper.force.ramp import ForceRamp
 from gripper.servos.goal_limits import ServoGoal
 from gripper.servos.group import frozen
-from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from tests.values import make_servo, make_state
 
@@ -18,9 +17,7 @@ from tests.values import make_servo, make_state
 def tripped(make_cell):
     """A part gripped with 14 N, whose servos' watchdogs have tripped: they hold it with less."""
     cell = make_cell(width_m=0.016, aperture_m=0.024, force_max_n=15.0, aperture_open_m=0.024)
-    cell.gripper.start()
-    outcome = cell.gripper.grasp(ForceRamp.linear(13.6, rate_n_s=20.0, hold_s=0.3))
-    assert outcome.result is GraspResult.FORCE_REACHED
+    cell.hold_part(ForceRamp.linear(13.6, rate_n_s=20.0, hold_s=0.3))
     cell.clock.sleep(1.0)
     assert [cell.register(index, "bus_watchdog") for index in (0, 1)] == [-1, -1]
     assert 0.5 < cell.force_n < 10.0

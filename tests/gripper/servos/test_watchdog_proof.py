@@ -19,11 +19,6 @@ from tests.marks import LONG
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0)
 
 
-def let_stop(cell, how: WatchdogStop, *indices: int) -> None:
-    for index in indices:
-        cell.servos[index].watchdog_stop = how
-
-
 @pytest.mark.parametrize(
     ("how", "watchdog_s"),
     [
@@ -32,10 +27,10 @@ def let_stop(cell, how: WatchdogStop, *indices: int) -> None:
         *(LONG(WatchdogStop.ZERO_CURRENT, watchdog_s) for watchdog_s in (0.1, 0.2, 0.5)),
     ],
 )
-def test_a_watchdog_that_stops_the_motors_is_proven_once(make_cell, how, watchdog_s) -> None:
-    cell = make_cell(watchdog_self_test=True, watchdog_s=watchdog_s)
-    let_stop(cell, how, 0, 1)
-    cell.gripper.start()
+def test_a_watchdog_that_stops_the_motors_is_proven_once(make_started, how, watchdog_s) -> None:
+    cell = make_started(watchdog_self_test=True, watchdog_s=watchdog_s)
+    for servo in cell.servos:
+        servo.watchdog_stop = how
     with pytest.raises(GripperStateError, match="open the gripper, the test follows"):
         cell.gripper.grasp(RAMP)
     opened_m: list[float] = []
@@ -51,10 +46,9 @@ def test_a_watchdog_that_stops_the_motors_is_proven_once(make_cell, how, watchdo
     assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
 
 
-def test_a_motor_that_turns_on_is_found_and_no_grasp_is_begun(make_cell) -> None:
-    cell = make_cell(watchdog_self_test=True)
-    let_stop(cell, WatchdogStop.KEEPS_TURNING, 1)
-    cell.gripper.start()
+def test_a_motor_that_turns_on_is_found_and_no_grasp_is_begun(make_started) -> None:
+    cell = make_started(watchdog_self_test=True)
+    cell.servos[1].watchdog_stop = WatchdogStop.KEEPS_TURNING
     with pytest.raises(WatchdogUnproven, match=r"servo 2: register 98 tripped.*unattended") as bad:
         cell.gripper.open()
     assert "servo 1:" not in str(bad.value)
@@ -67,17 +61,15 @@ def test_a_motor_that_turns_on_is_found_and_no_grasp_is_begun(make_cell) -> None
         cell.gripper.open()
 
 
-def test_a_watchdog_that_never_trips_is_found(make_cell, monkeypatch) -> None:
-    cell = make_cell(watchdog_self_test=True)
+def test_a_watchdog_that_never_trips_is_found(make_started, monkeypatch) -> None:
+    cell = make_started(watchdog_self_test=True)
     monkeypatch.setattr(cell.servos[0], "set_watchdog", lambda *_: None)
-    cell.gripper.start()
     with pytest.raises(WatchdogUnproven, match="servo 1: register 98 did not trip"):
         cell.gripper.open()
 
 
-def test_a_part_that_blocks_the_test_is_named_and_kept(make_cell) -> None:
-    cell = make_cell(watchdog_self_test=True, width_m=0.0195)
-    cell.gripper.start()
+def test_a_part_that_blocks_the_test_is_named_and_kept(make_started) -> None:
+    cell = make_started(watchdog_self_test=True, width_m=0.0195)
     with pytest.raises(FingerBlocked, match=r"servo 1: .* servo 2: .* Take out"):
         cell.gripper.open(0.02)
     cell.gripper.clear_fault()
@@ -94,21 +86,16 @@ def test_fingers_of_high_friction_get_the_current_to_start(make_cell) -> None:
     assert cell.gripper.phase is GripperPhase.IDLE
 
 
-def test_what_lies_between_the_fingers_at_a_stop_in_the_test_is_kept(make_cell) -> None:
-    cell = make_cell(watchdog_self_test=True, width_m=0.0152)
-    cell.gripper.start()
+def test_what_lies_between_the_fingers_at_a_stop_in_the_test_is_kept(make_started) -> None:
+    cell = make_started(watchdog_self_test=True, width_m=0.0152)
     cell.clock.on_advance.append(lambda _: cell.force_n > 0.5 and cell.gripper.request_stop())
     with pytest.raises(GraspStopped, match="a part may be touched"):
         cell.gripper.open(0.02)
     assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
 
 
-def test_it_is_off_unless_asked_for_and_refuses_a_long_way(make_cell) -> None:
-    plain = make_cell()
-    plain.gripper.start()
-    assert plain.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
-    cell = make_cell(watchdog_self_test=True, watchdog_s=2.5)
-    cell.gripper.start()
+def test_it_refuses_a_long_way(make_started) -> None:
+    cell = make_started(watchdog_self_test=True, watchdog_s=2.5)
     with pytest.raises(LimitExceeded, match=r"shorten gripper\.watchdog_ms"):
         cell.gripper.open()
 

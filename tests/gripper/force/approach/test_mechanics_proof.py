@@ -121,10 +121,11 @@ def test_a_finger_may_stand_beyond_the_middle_where_the_other_makes_room(halves_
 
 @pytest.mark.parametrize(("linkage", "aperture_m"), [("parallel", 0.0), ("rack", 0.002)])
 def test_a_wrong_direction_of_one_servo_that_drives_both_is_told(
-    make_cell, linkage, aperture_m
+    make_started, linkage, aperture_m
 ) -> None:
-    cell = make_cell(n_servos=1, linkage=linkage, turned=(0,), aperture_m=aperture_m, present=False)
-    cell.gripper.start()
+    cell = make_started(
+        n_servos=1, linkage=linkage, turned=(0,), aperture_m=aperture_m, present=False
+    )
     with pytest.raises(MechanicsContradicted, match="free on its way back"):
         cell.gripper.open()
     assert cell.torques == [0]
@@ -147,7 +148,7 @@ def test_a_pinion_opens_from_each_part_of_its_turn_and_grips_wide_parts(
     cell = make_started(
         **{"n_servos": 1, "linkage": "rack", "pinion_radius_m": 0.008, "model": XL330_M288},
         **{"zero_raw": 700, "aperture_open_m": 0.065, "force_max_n": 15.0, "loop_rate_hz": 100.0},
-        catalogue_torque=True,
+        kt_error=-0.392,  # The torque of the catalogue.
         aperture_m=aperture_m,
         width_m=0.06,
         present=False,
@@ -184,11 +185,10 @@ def test_two_stiff_fingers_that_stand_too_open_both_get_more_current(make_starte
     assert cell.gripper.open(0.03).aperture_m == pytest.approx(0.03, abs=4e-4)
 
 
-def test_a_finger_that_is_blocked_on_its_way_is_no_stiff_gearing(make_cell) -> None:
+def test_a_finger_that_is_blocked_on_its_way_is_no_stiff_gearing(make_started) -> None:
     """A part on the outside: here an open stop that comes before the opening."""
-    cell = make_cell(aperture_m=0.02, present=False)
+    cell = make_started(aperture_m=0.02, present=False)
     cell.mechanics._upper_rad = cell.linkage.angles_rad(0.025)[0]
-    cell.gripper.start()
     with pytest.raises(MechanicsContradicted, match=r"25\.\d mm on its way to 30\.0 mm"):
         cell.gripper.open()
 
@@ -219,8 +219,7 @@ def test_a_time_that_ends_before_the_empty_fingers_meet_is_told_as_that(make_sta
 def test_pads_that_are_pressed_more_and_more_end_a_release(make_cell) -> None:
     """Settings that were changed while a part was held by an earlier run."""
     cell = make_cell(aperture_m=0.02)
-    cell.gripper.start()
-    assert cell.gripper.grasp(ForceRamp.linear(1.5, rate_n_s=5.0)).result
+    cell.hold_part(ForceRamp.linear(1.5, rate_n_s=5.0))
     cell.gripper.close()
     cell.settings = make_cell(turned=(0, 1)).settings
     gripper = cell.new_gripper()
