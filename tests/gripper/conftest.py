@@ -21,11 +21,9 @@ from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
 from gripper.values.state import Cycle
 from simulator.clock import VirtualClock
-from simulator.servo.bus import MemoryServoStream, ServoBusDevice
-from simulator.servo.device import SimulatedServo
 from simulator.servo.gearing import Drive, Friction, data_sheet
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
-from simulator.servo.motor import ServoMotor
+from tests.simulator.conftest import ServoBench
 from tests.values import measured_drives
 
 STICKING = Drive(
@@ -131,13 +129,12 @@ class Part:
     stiffness_n_m: float
     present: bool
 
-    def force_n(self, first_m: float, second_m: float) -> tuple[float, float]:
-        """Force on both pads for their half openings."""
-        if not self.present:
+    def press(self, opening_m: float) -> tuple[float, float]:
+        """Return the force on each pad in N, and its slope over the way of one finger in N/m."""
+        pressed_m = self.width_m - opening_m
+        if not self.present or pressed_m <= 0.0:
             return 0.0, 0.0
-        pressed_m = self.width_m - (first_m + second_m)
-        force_n = max(0.0, 0.5 * pressed_m * self.stiffness_n_m)
-        return force_n, force_n
+        return 0.5 * self.stiffness_n_m * pressed_m, 0.5 * self.stiffness_n_m
 
 
 class SampledForce:
@@ -198,7 +195,7 @@ GENEROUS = {
 """Settings of the test cell: wide open, quick, and with the highest cap of the force."""
 
 
-class Cell:
+class Cell(ServoBench):
     """Simulated servos and fingers, a part and a force sensor under one virtual clock."""
 
     def __init__(
@@ -229,32 +226,27 @@ class Cell:
         ``drive_sds`` are the uncertainties of friction and torque, as a measurement leaves them.
         ``turned`` are indices of servos, ``zero_off`` is in pulses of opening too wide.
         """
-        self.clock = VirtualClock()
         self.part = Part(width_m, stiffness_n_m, present)
         self.sensor = SampledForce(noise_n=noise_n, seed=seed, rate_hz=rate_hz)
         directions = (1, -1)[:n_servos]
-        self.motors = [ServoMotor(model) for _ in range(n_servos)]
+        mounts = [ServoMount(direction=d, zero_raw=zero_raw) for d in directions]
+        theirs: Any = ParallelogramLinkage(link_m=0.06)
+        self.linkage: Linkage = ParallelLinkage(link_m=0.06, n_servos=n_servos)
+        if linkage == "rack":
+            theirs = RackLinkage(pinion_radius_m=pinion_radius_m)
+            self.linkage = RackPinion(pinion_radius_m=pinion_radius_m, n_servos=n_servos)
+        super().__init__(
+            range(1, n_servos + 1),
+            model=model,
+            fingers=lambda motors, _: FingerMechanics(
+                motors, mounts, theirs, aperture_m=aperture_m
+            ),
+        )
         # The friction of the catalogue; that of the data sheet is a loaded one.
         sheet = data_sheet(model)
         for motor in self.motors:
             motor.kt_factor = 1.0 + kt_error
             motor.friction_factor = model.friction_nm / sheet.friction_nm * (1.0 + friction_error)
-        mounts = [ServoMount(direction=d, zero_raw=zero_raw) for d in directions]
-        own: Linkage
-        if linkage == "parallel":
-            theirs: Any = ParallelogramLinkage(link_m=0.06)
-            own = ParallelLinkage(link_m=0.06, n_servos=n_servos)
-        else:
-            theirs = RackLinkage(pinion_radius_m=pinion_radius_m)
-            own = RackPinion(pinion_radius_m=pinion_radius_m, n_servos=n_servos)
-        self.mechanics = FingerMechanics(self.motors, mounts, theirs, aperture_m=aperture_m)
-        eeprom = {"baud_rate": 3, "return_delay_time": 0}
-        self.servos = [
-            SimulatedServo(i + 1, model, motor, settings=eeprom)
-            for i, motor in enumerate(self.motors)
-        ]
-        self.device = ServoBusDevice(self.servos, 1_000_000)
-        self.stream = MemoryServoStream(self.device, self.clock)
         self.bus = ServoBus(self.stream, baudrate=1_000_000, clock=self.clock)
         self.settings = GripperSettings(
             servos=tuple(
@@ -269,32 +261,23 @@ class Cell:
             **(GENEROUS | settings),
         )
         self.drives = measured_drives(self.settings, *drive_sds)
-        self.linkage = own
         self.gripper = self.new_gripper()
-        self.force_n = 0.0
-        self.peak_n = 0.0
+        self.force_n = self.peak_n = 0.0
         self.least_n = 1e9
         self.acted_s: list[float] = []
-        self.clock.on_advance.append(self._advance)
-        self._now_s = 0.0
 
     def new_gripper(self) -> Gripper:
         mechanics = Mechanics(self.settings, self.linkage, self.drives)
         return Gripper(self.bus, mechanics, clock=self.clock, force_sensor=self.sensor)
 
     def _advance(self, now_s: float) -> None:
-        dt_s = now_s - self._now_s
-        self._now_s = now_s
-        if dt_s <= 0.0:
+        if now_s <= self._last_s:
             return
-        first_m, second_m = self.mechanics.finger_position_m
-        stiffness = 0.5 * self.part.stiffness_n_m if self.part.present else 0.0
-        force = self.part.force_n(first_m, second_m)
-        if force[0] == 0.0:
-            stiffness = 0.0
-        self.mechanics.step(dt_s, force, (stiffness, stiffness))
+        force_n, slope_n_m = self.part.press(self.mechanics.aperture_m)
+        self.mechanics.step(now_s - self._last_s, (force_n,) * 2, (slope_n_m,) * 2)
+        self._last_s = now_s
         self.device.advance_to(now_s)
-        self.force_n = self.part.force_n(*self.mechanics.finger_position_m)[0]
+        self.force_n, _ = self.part.press(self.mechanics.aperture_m)
         self.peak_n = max(self.peak_n, self.force_n)
         self.least_n = min(self.least_n, self.force_n)
         self.sensor.measure(now_s, (self.force_n, self.force_n))

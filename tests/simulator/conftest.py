@@ -74,7 +74,7 @@ class ServoBench:
     ) -> None:
         self.clock = VirtualClock()
         self.motors = [motor(model) for _ in ids]
-        self.force_n = (0.0, 0.0)
+        self.forces_n = (0.0, 0.0)
         mounts = [ServoMount(direction=1), ServoMount(direction=-1)][: len(ids)]
         self.mechanics = fingers(self.motors, mounts)
         defaults = {"baud_rate": 3, "return_delay_time": 0}
@@ -88,7 +88,7 @@ class ServoBench:
         self._last_s = 0.0
 
     def _advance(self, now_s: float) -> None:
-        self.mechanics.step(now_s - self._last_s, self.force_n)
+        self.mechanics.step(now_s - self._last_s, self.forces_n)
         self._last_s = now_s
         self.device.advance_to(now_s)
 

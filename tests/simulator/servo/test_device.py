@@ -331,7 +331,7 @@ def closing():
             present = pressing.get(servo_id, "present_position")
             pressing.put(servo_id, goal_position=present, goal_current=100, torque_enable=1)
             pressing.put(servo_id, goal_position=2048)
-        pressing.force_n = (9.0, 9.0)
+        pressing.forces_n = (9.0, 9.0)
         return pressing
 
     return make
@@ -433,7 +433,7 @@ def test_a_trip_holds_the_present_position(pressing):
         pytest.approx(0.269),
     )
     held = pressing.motors[0].angle_rad
-    pressing.force_n = (0.0, 0.0)
+    pressing.forces_n = (0.0, 0.0)
     pressing.clock.sleep(0.5)
     assert pressing.motors[0].angle_rad == pytest.approx(held, abs=0.03)
 
