@@ -24,7 +24,6 @@ from gripper.errors import (
     GraspStopped,
     GripContradicted,
     GripperError,
-    GripperStateError,
     LimitExceeded,
     LinkTooSlow,
     PositionContradicted,
@@ -170,18 +169,6 @@ def test_a_finger_next_to_a_silent_servo_follows_no_error_of_its_encoder(make_st
     cell.motors[1].encoder_offset_rad = 0.3
     cell.clock.sleep(0.5)
     assert cell.mechanics.finger_position_m[1] == pytest.approx(stood_m, abs=5e-4)
-
-
-def test_a_stop_at_the_begin_of_a_release_lets_nothing_fall(cell) -> None:
-    cell.hold_part(RAMP)
-    with pytest.raises(GraspStopped):
-        cell.gripper.release(lambda _: cell.gripper.request_stop())
-    cell.clock.sleep(1.0)
-    assert cell.force_n > 0.5
-    with pytest.raises(GripperStateError):
-        cell.gripper.hold(0.1)
-    cell.gripper.release()
-    assert cell.force_n == 0.0
 
 
 def test_silent_servos_do_not_hold_up_the_report_of_another_fault(make_started) -> None:
@@ -637,14 +624,6 @@ def test_a_fault_while_one_finger_opens_is_that_of_the_gripper(make_cell) -> Non
     assert gripper.phase is GripperPhase.HELD_AFTER_FAULT
     gripper.keep_grip()
     assert cell.register(1, "bus_watchdog") == 10, "it alone stops the finger"
-
-
-def test_a_release_closes_no_finger_that_stands_wide_open(make_started) -> None:
-    cell = make_started(aperture_m=0.07, aperture_open_m=0.018, force_max_n=9.0, present=False)
-    assert cell.gripper.release().state.aperture_m == pytest.approx(0.07, abs=0.002)
-    cell.clock.sleep(0.5)
-    assert cell.mechanics.aperture_m == pytest.approx(0.07, abs=0.002)
-    assert cell.gripper.open().aperture_m == pytest.approx(0.018, abs=0.001)
 
 
 def test_a_finger_whose_position_has_leapt_is_not_said_to_be_open(cell) -> None:

@@ -362,7 +362,7 @@ REFUSED = {
     "gripper.aperture_min_mm=400": "aperture_min_mm 400 must be below aperture_open_mm 16",
     "gripper.contact_force_n=5": "gripper.contact_force_n = 5 N to hold a part",
     "gripper.contact_timeout_s=1": "contact_timeout_s is 1, but from aperture_open_mm = 16",
-    "gripper.force_max_n=1": "force_max_n is 1 N: .* Raise force_max_n",
+    "gripper.force_max_n=1": "gripper: force_max_n is 1 N: .* Raise force_max_n",
     "gripper.current_max_a=0.05": f"8.0 N take {_NEEDED_A:.3f} A, current_max_a is 0.05 A",
     "sequence.carry_force_n=0.1": "carry_force_n is 0.1 N; it must be at least",
     "sequence.carry_force_n=50": "at most 13.64 N, .* the ramp asks for 50.0 N",

@@ -1,5 +1,5 @@
 from dataclasses import replace
-from math import asin, pi
+from math import pi
 
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -78,13 +78,6 @@ def test_a_force_falls_at_one_drive_and_is_gone_at_the_friction(
     assert path.force_band_n(0.0)[1] == pytest.approx(held_n), "the gearing alone"
     falls_a = 0.3 * 0.05 * (held_n + force_n) - share * 0.1
     assert path.force_band_n(falls_a)[1] == pytest.approx(held_n + force_n)
-
-
-def test_one_servo_for_both_fingers_needs_twice_the_torque() -> None:
-    assert RackPinion(pinion_radius_m=0.01, n_servos=1).effective_radius_m(0.3) == 0.02
-    assert RackPinion(pinion_radius_m=0.01, n_servos=2).effective_radius_m(0.3) == 0.01
-    one = ParallelLinkage(link_m=0.06, n_servos=1)
-    assert one.angles_rad(0.06) == (pytest.approx(asin(0.5)),)
 
 
 @pytest.mark.parametrize(
