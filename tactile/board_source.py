@@ -37,10 +37,17 @@ BoardSamples = tuple[float, float, NDArray[np.uint16]]
 
 
 class Board:
-    """One board of a source: its newest frames, and the share of damaged ones."""
+    """One board of a source: its newest frames, and the share of damaged ones.
 
-    def __init__(self, name: str, n_frames: int = _LOSS_FRAMES) -> None:
-        self.name = name
+    Parameters
+    ----------
+    streams
+        Whether it sends each scan once. Then two equal frames may be two scans of a quiet pad. A
+        board that is asked sends a scan again until the next one.
+    """
+
+    def __init__(self, name: str, n_frames: int = _LOSS_FRAMES, *, streams: bool = True) -> None:
+        self.name, self._streams = name, streams
         self.sound: deque[bool] = deque(maxlen=n_frames)
         """Whether each of its newest frames was whole."""
         self.waiting: list[BoardSamples] = []
@@ -59,7 +66,7 @@ class Board:
     def saw(self, begun_s: float, t_s: float, samples: NDArray[np.uint16]) -> None:
         """Add a whole frame; a repeated one is dropped and counted."""
         same = np.array_equal(samples, self._last)
-        lively = sum(self._changes) >= _LIVELY_SHARE * _LIVELY_FRAMES
+        lively = not self._streams or sum(self._changes) >= _LIVELY_SHARE * _LIVELY_FRAMES
         # A pad at an end of its scale, or without supply, has no noise.
         self._repeated = same and lively and bool((samples != samples[0]).any())
         if self._repeated:
@@ -269,7 +276,7 @@ class BoardSource(PolledBoards[Board]):
     """
 
     def __init__(self, name: str, **options: Any) -> None:
-        self._board = Board(name)
+        self._board = Board(name, streams=False)
         super().__init__(name, (self._board,), **options)
 
     @abstractmethod
