@@ -9,6 +9,7 @@ import pytest
 
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
+from cell.errors import ConfigError
 from gripper.errors import ForceAboveCap, LimitExceeded
 from gripper.force.approach import approach
 from gripper.force.ramp import ForceRamp
@@ -23,8 +24,8 @@ LINKAGE = ParallelLinkage(link_m=0.06)
 SETTINGS = GripperSettings()
 
 
-def mechanics(**changes: Any) -> Mechanics:
-    return Mechanics(replace(SETTINGS, **changes), LINKAGE, measured_drives(SETTINGS))
+def mechanics(linkage: ParallelLinkage = LINKAGE, **changes: Any) -> Mechanics:
+    return Mechanics(replace(SETTINGS, **changes), linkage, measured_drives(SETTINGS))
 
 
 def test_the_default_speed_is_below_what_the_default_cap_allows() -> None:
@@ -37,8 +38,22 @@ def test_the_default_speed_is_below_what_the_default_cap_allows() -> None:
     assert limit.pad_speed_m_s() == pytest.approx(0.038, abs=0.001)
     assert limit.pad_speed_m_s(10.0) == pytest.approx(0.0112, abs=0.0003)
     assert limit.pad_speed_m_s(14.0) == 0.0
-    hard = impact_limit(mechanics(pad_stiffness_n_m=4.0 * 55e3))
-    assert hard.momentum_n_s_m == pytest.approx(2.0 * limit.momentum_n_s_m)
+
+
+@pytest.mark.parametrize(
+    ("change", "linkage", "faster"),
+    [
+        ({"force_max_n": 8.0}, LINKAGE, False),
+        ({"pad_stiffness_n_m": 20e3}, LINKAGE, True),
+        ({"approach_force_n": 4.0}, LINKAGE, False),
+        ({}, ParallelLinkage(link_m=0.03), False),
+        ({}, ParallelLinkage(link_m=0.09), True),
+    ],
+)
+def test_mass_stiffness_lever_and_current_set_the_speed(change, linkage, faster) -> None:
+    plain = impact_limit(mechanics()).pad_speed_m_s()
+    speed_m_s = impact_limit(mechanics(linkage, **change)).pad_speed_m_s()
+    assert (speed_m_s > plain) is faster
 
 
 def test_a_cap_below_which_nothing_stops_is_refused_and_the_remedy_works() -> None:
@@ -48,7 +63,7 @@ def test_a_cap_below_which_nothing_stops_is_refused_and_the_remedy_works() -> No
     assert check_approach(mechanics(force_max_n=float(remedy[1]))) >= 0.004
 
 
-def test_a_config_that_is_slowed_gets_a_note_with_the_reason() -> None:
+def test_a_config_is_refused_or_slowed_with_the_reason() -> None:
     assert CellConfig().notes == ()
     slowed = changed_config(CellConfig(), {"gripper.approach_speed_mm_s": 150.0})
     (note,) = slowed.notes
@@ -57,6 +72,15 @@ def test_a_config_that_is_slowed_gets_a_note_with_the_reason() -> None:
     short = {"gripper.linkage": rack, "gripper.force_max_n": 30.0}
     friction, *_ = changed_config(CellConfig(), short).notes
     assert "the servos' friction is 11 N at the pads" in friction
+    with pytest.raises(ConfigError, match=r"gripper: force_max_n is 2 N: .* Raise force_max_n"):
+        changed_config(
+            CellConfig(),
+            {
+                "gripper.force_max_n": 2.0,
+                "sequence.force_n": [1.0, 1.5],
+                "sequence.carry_force_n": 1.0,
+            },
+        )
 
 
 def test_the_limit_stands_beside_the_write_and_not_in_the_caller_alone(

@@ -25,9 +25,14 @@ def speeds(ways_rad, *, dither=0.0) -> list[float]:
     return measured
 
 
-def ramp(rate_rad_s: float) -> list[float]:
-    """Return the positions of 60 periods of a motion at a steady rate."""
-    return [0.3 * COUNT_RAD + rate_rad_s * 1e-3 * PERIOD_MS * index for index in range(60)]
+def ramp(*rates_rad_s: float) -> list[float]:
+    """Return positions of motions of 60 periods at one rate after the other."""
+    ways, rad = [], 0.3 * COUNT_RAD
+    for rate_rad_s in rates_rad_s:
+        for _ in range(60):
+            ways.append(rad)
+            rad += rate_rad_s * PERIOD_MS * 1e-3
+    return ways
 
 
 def test_a_first_position_shows_no_speed_and_a_repeated_one_replaces_it() -> None:
@@ -49,6 +54,17 @@ def test_a_servo_at_rest_whose_count_dithers_counts_as_slow(seed) -> None:
 def test_a_steady_speed_is_as_exact_as_at_rest(rate_rad_s) -> None:
     errors = [one - rate_rad_s for one in speeds(ramp(rate_rad_s), dither=0.3)[16:]]
     assert fmean(one**2 for one in errors) < (0.5 * slow_rad_s(XM430_W350)) ** 2
+
+
+@pytest.mark.parametrize(
+    ("before_rad_s", "after_rad_s", "periods"),
+    [(0.0, 0.2, 12), (0.0, 0.4, 8), (0.3, 0.0, 8), (0.5, 0.0, 6), (-0.4, 0.4, 6)],
+)
+def test_a_large_change_shows_early(before_rad_s, after_rad_s, periods) -> None:
+    measured = speeds(ramp(before_rad_s, after_rad_s))[60:]
+    late = [abs(one - after_rad_s) > 0.25 * abs(after_rad_s - before_rad_s) for one in measured]
+    assert not any(late[periods:])
+    assert sum(late) >= 2
 
 
 def test_the_speed_of_the_next_reading_follows_an_acceleration_at_once() -> None:
