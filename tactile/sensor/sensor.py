@@ -359,53 +359,68 @@ class TactileSensor:
         force_n = np.where(active, self.calibration.force_n(tared), 0.0)
         all_n = self.calibration.force_n(counts)
         scan_n = np.where(active, all_n, 0.0)
-        # A count is more force on a loaded taxel than on an empty one.
-        slope = (self.calibration.force_n(counts + 1.0) - all_n) / self._per_count_n
-        pad_noise_n = 0.0 if tare is None else self._pad_noise_n[self.layout.taxel_pad]
-        noise_n = slope * pad_noise_n
-        # In its messages the unit also adds the neighbours of touched taxels.
-        near = self._hood.weighted(active.astype(np.float64)) > 0.0
-        summed = near if self.has_forces else active
-        centre = self._centres.of(scan_n)
-        centre_noise = (inf, inf)
-        if centre is not None and tare is not None:
-            centre_noise = self._centres.noise(scan_n, noise_n * summed)
+        noise_n = self._taxel_noise_n(counts, all_n)
         full_scale = self._full_scale(full)
         reason = self._objection(frame, full_scale, bad, saturated | bad, tared)
-        if not reason and self.has_forces:
-            variance_n2 = max(self.layout.on_fingers(active * noise_n**2))
-            variance_n2 = max(variance_n2, *(_LEAST_TOUCHED * self._grip_noise_n2))
-            # A finger without a taxel above the source's threshold may show nothing there.
-            mean = self._hood.weighted(counts) / _BINOMIAL
-            shown = [mean[one].max() > self._touch_counts for one in self.layout.gripping_taxels]
-            first_n, second_n = self.layout.on_fingers(scan_n)
-            self._force_check.compare(
-                frame.scanned_s,
-                (shown[0] * first_n, shown[1] * second_n),
-                sqrt(_EDGE * variance_n2),
-                centre_taxels=centre,
-                centre_noise_taxels=centre_noise,
-                whole_n=self.layout.on_fingers(all_n),
-            )
         for array in (tared, active, force_n, saturated, bad):
             array.setflags(write=False)
         counted = self.statistics
         counted.bad_taxels = int(np.count_nonzero(bad))
         counted.saturated_frames += bool(full.any())
         counted.void_frames += bool(reason) and self._mean_full and tare is not None
-        return TactileReading(
+        reading = TactileReading(
             frame=frame,
             tared_counts=tared,
             force_n=force_n,
             finger_force_n=self.layout.on_fingers(force_n),
             scan_force_n=self.layout.on_fingers(scan_n),
-            centre_noise_taxels=centre_noise,
+            centre_noise_taxels=self._centre_noise_taxels(scan_n, noise_n, active),
             active=active,
             saturated=saturated,
             bad=bad,
             ok=not reason,
             at_least=bool(reason) and reason == full_scale,
             reason=reason,
+        )
+        if reading.ok and self.has_forces:
+            self._compare(reading, counts, all_n, noise_n)
+        return reading
+
+    def _taxel_noise_n(self, counts: Values, all_n: Values) -> Values:
+        """Return the noise of the force on each taxel in one frame in N; 0 before the zero."""
+        if self.tare_result is None:
+            return np.zeros_like(counts)
+        # A count is more force on a loaded taxel than on an empty one.
+        slope = (self.calibration.force_n(counts + 1.0) - all_n) / self._per_count_n
+        noise_n: Values = slope * self._pad_noise_n[self.layout.taxel_pad]
+        return noise_n
+
+    def _centre_noise_taxels(
+        self, scan_n: Values, noise_n: Values, active: Mask
+    ) -> tuple[float, float]:
+        if self.tare_result is None or self._centres.of(scan_n) is None:
+            return inf, inf
+        # In its messages the unit also adds the neighbours of touched taxels.
+        near = self._hood.weighted(active.astype(np.float64)) > 0.0
+        return self._centres.noise(scan_n, noise_n * (near if self.has_forces else active))
+
+    def _compare(
+        self, reading: TactileReading, counts: Values, all_n: Values, noise_n: Values
+    ) -> None:
+        active = reading.active
+        variance_n2 = max(self.layout.on_fingers(active * noise_n**2))
+        variance_n2 = max(variance_n2, *(_LEAST_TOUCHED * self._grip_noise_n2))
+        # A finger without a taxel above the source's threshold may show nothing in the messages.
+        mean = self._hood.weighted(counts) / _BINOMIAL
+        shown = [mean[one].max() > self._touch_counts for one in self.layout.gripping_taxels]
+        first_n, second_n = reading.scan_force_n
+        self._force_check.compare(
+            reading.frame.scanned_s,
+            (shown[0] * first_n, shown[1] * second_n),
+            sqrt(_EDGE * variance_n2),
+            centre_taxels=self._centres.of(np.where(active, all_n, 0.0)),
+            centre_noise_taxels=reading.centre_noise_taxels,
+            whole_n=self.layout.on_fingers(all_n),
         )
 
     @property
