@@ -220,13 +220,20 @@ _CRC8_POLYNOMIAL, _CRC8_START, _CRC8_END = 0x11D, 0xFF, 0xFF
 """CRC-8 of SAE J1850 (AUTOSAR, Specification of CRC Routines, 7.2.1.1)."""
 
 
+def _divided(byte: int) -> int:
+    for _ in range(8):
+        byte = byte << 1 ^ (_CRC8_POLYNOMIAL if byte & 0x80 else 0)
+    return byte
+
+
+_CRC8_TABLE = bytes(map(_divided, range(256)))
+
+
 def crc8(data: bytes | bytearray) -> int:
     """Return the CRC-8 of SAE J1850."""
     crc = _CRC8_START
     for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc << 1 ^ (_CRC8_POLYNOMIAL if crc & 0x80 else 0)
+        crc = _CRC8_TABLE[crc ^ byte]
     return crc ^ _CRC8_END
 
 
