@@ -95,16 +95,20 @@ class ForceCentres:
     def noise(self, force_n: Array, noise_n: Array) -> tuple[float, float]:
         """Return the standard deviation of that centre along and across the fingers.
 
+        It is infinite where there is no centre.
+
         Parameters
         ----------
         force_n : (n_taxels,) float64
-            Normal force on each taxel in N, with a centre.
+            Normal force on each taxel in N.
         noise_n : (n_taxels,) float64
             Its standard deviation in N; 0 for a taxel that is left out.
         """
         variance = np.zeros(2)
         for taxels, place in self._pads:
             total_n = float(force_n[taxels].sum())
+            if not total_n > 0.0:
+                return inf, inf
             lever = place - force_n[taxels] @ place / total_n
             variance += 0.25 * (noise_n[taxels] ** 2 @ lever**2) / total_n**2
         along, across = np.sqrt(variance)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from math import inf, sqrt
+from operator import mul
 from typing import Any, Generic, TypeVar
 
 from tactile.sensor.force_check import ForceCentres
@@ -46,6 +47,8 @@ class GripForce(Generic[Sample]):
         self._make = sample
         self._new: list[TactileReading] = []
         self._centres = ForceCentres(sensor.layout)
+        pad = sensor.layout.pads[sensor.layout.gripping_pads[0]]
+        self._pitch_m = pad.pitch_x_m, pad.pitch_y_m
         self._sample: Sample | None = None
         self._sample_s = -inf
 
@@ -114,16 +117,14 @@ class GripForce(Generic[Sample]):
 
     def _in_m(self, centre: tuple[float, float] | None) -> tuple[float, float] | None:
         """Return a centre in m that is in pitches of the taxels."""
-        layout = self._sensor.layout
-        pad = layout.pads[layout.gripping_pads[0]]
-        return centre and (centre[0] * pad.pitch_x_m, centre[1] * pad.pitch_y_m)
+        return centre and (centre[0] * self._pitch_m[0], centre[1] * self._pitch_m[1])
 
     def _noise_m(self, reading: TactileReading, grip_n: float) -> float:
         """Return the larger noise of the centre's coordinates in m at a grip force in N.
 
         It is that of a frame, whose force may be another one.
         """
-        noise_m = max(self._in_m(reading.centre_noise_taxels) or ())
+        noise_m: float = max(map(mul, reading.centre_noise_taxels, self._pitch_m))
         frame_n = max(0.5 * sum(reading.scan_force_n), _LEAST_FORCE_N)
         return noise_m * frame_n / max(grip_n, _LEAST_FORCE_N)
 

@@ -359,7 +359,10 @@ class TactileSensor:
         force_n = np.where(active, self.calibration.force_n(tared), 0.0)
         all_n = self.calibration.force_n(counts)
         scan_n = np.where(active, all_n, 0.0)
-        noise_n = self._taxel_noise_n(counts, all_n)
+        noise_n, summed = self._taxel_noise_n(counts, all_n), active
+        if self.has_forces:
+            # In its messages the unit also adds the neighbours of touched taxels.
+            summed = self._hood.weighted(active.astype(np.float64)) > 0.0
         full_scale = self._full_scale(full)
         reason = self._objection(frame, full_scale, bad, saturated | bad, tared)
         for array in (tared, active, force_n, saturated, bad):
@@ -374,7 +377,7 @@ class TactileSensor:
             force_n=force_n,
             finger_force_n=self.layout.on_fingers(force_n),
             scan_force_n=self.layout.on_fingers(scan_n),
-            centre_noise_taxels=self._centre_noise_taxels(scan_n, noise_n, active),
+            centre_noise_taxels=self._centres.noise(scan_n, noise_n * summed),
             active=active,
             saturated=saturated,
             bad=bad,
@@ -394,15 +397,6 @@ class TactileSensor:
         slope = (self.calibration.force_n(counts + 1.0) - all_n) / self._per_count_n
         noise_n: Values = slope * self._pad_noise_n[self.layout.taxel_pad]
         return noise_n
-
-    def _centre_noise_taxels(
-        self, scan_n: Values, noise_n: Values, active: Mask
-    ) -> tuple[float, float]:
-        if self.tare_result is None or self._centres.of(scan_n) is None:
-            return inf, inf
-        # In its messages the unit also adds the neighbours of touched taxels.
-        near = self._hood.weighted(active.astype(np.float64)) > 0.0
-        return self._centres.noise(scan_n, noise_n * (near if self.has_forces else active))
 
     def _compare(
         self, reading: TactileReading, counts: Values, all_n: Values, noise_n: Values

@@ -182,6 +182,7 @@ class MoveTo:
             )
         self._look(moment)
         passed_s = moment.now_s - self._begun_s
+        # If the fingers close instead, the pads show it before the current is whole.
         rising = min(1.0, passed_s / STEADY_S) if self._opening else 1.0
         goals = []
         for finger, servo in zip(self._fingers, moment.state.servos, strict=True):

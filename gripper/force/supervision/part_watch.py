@@ -420,8 +420,7 @@ def _run(
 ) -> bool:
     """Return whether all fingers have closed by ``run_m`` m since then, unlike on any part.
 
-    A grown drive makes a part yield, and the earlier drive does so for a moment; but on a part the
-    fingers then become slower.
+    A grown drive makes a part yield, but on a part the fingers then become slower.
     """
     if any(servo.velocity_rad_s > 0.0 for servo in moment.state.servos):
         return False
