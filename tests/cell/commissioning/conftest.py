@@ -57,11 +57,15 @@ class Stand:
         self.person.script.moment = moment or self.person.script.moment
         return carry_out(step, self.bench, self.person.script)
 
-    def passes(self, step: Step, **options: Any) -> Notes:
-        """Carry a step out as `run`; fail where it does not pass."""
+    def ends(self, verdict: Verdict, step: Step, *named: str, **options: Any) -> Notes:
+        """Carry a step out as `run`; fail where it ends otherwise or its lines lack a text."""
         finding = self.run(step, **options)
-        assert finding.status is Verdict.PASS, finding.lines
+        text = "\n".join(finding.lines)
+        assert (finding.status, [one for one in named if one not in text]) == (verdict, []), text
         return finding
+
+    def passes(self, step: Step, *named: str, **options: Any) -> Notes:
+        return self.ends(Verdict.PASS, step, *named, **options)
 
     def knows(self, **settings: Any) -> None:
         """Let the steps have found other values, ``__`` for the point."""

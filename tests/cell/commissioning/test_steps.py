@@ -122,8 +122,7 @@ def test_servos_in_protocol_1_are_named_with_the_register(stand, rate: int) -> N
     for servo in stand.cell.devices.servo_bus.servos:
         servo.registers.put("protocol_type", 1)
         servo.registers.put("baud_rate", rate)
-    finding = stand.run(SERVOS)
-    assert any("Protocol 1.0 come from servo 1, 2" in line for line in finding.lines)
+    stand.ends(FAIL, SERVOS, "Protocol 1.0 come from servo 1, 2")
 
 
 def test_a_second_servo_that_is_not_there_after_all_is_not_waited_for(new) -> None:
@@ -191,14 +190,13 @@ def quiet(make_stand: MakeStand) -> Stand:
 def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(quiet) -> None:
     stand, bench = quiet, quiet.bench
     bench.values["pads_law"] = {"factor": 1.0}  # the pads were checked with weights
-    finding = stand.run(FIRST_FORCE, first_force__most=lambda: None)
-    assert finding.status is Verdict.PASS, finding.lines
+    most_n = {"first_force__most": lambda: None}
+    finding = stand.passes(FIRST_FORCE, "the pads show 0.00 and 0.00 N after a new zero", **most_n)
     most = next(q for q in stand.person.script.questions if q.key == "first_force.most")
     assert 4.0 < most.default < most.limits[1] <= largest_setpoint_n(15.0)
     (first, last) = finding.values["asked_held_peak_n"]
     assert first[:2] == pytest.approx([1.0, 1.0], abs=0.1)
     assert last == pytest.approx(3 * [most.default], rel=0.1)
-    assert any("the pads show 0.00 and 0.00 N after a new zero" in line for line in finding.lines)
     assert stand.torques == [0, 0]
     assert len(stand.person.script.writes) == 4
     assert abs(finding.values["meet_mm"]) < 1.0
@@ -228,9 +226,8 @@ def test_a_person_who_leaves_with_the_part_held_finds_it_held_and_lets_go_next_t
         quiet.run(FIRST_FORCE, leave_at=["first_force.release"])
     assert quiet.torques == [1, 1]
     assert min(quiet.cell.world.contact_force_n()) > 0.5
-    finding = quiet.run(FIRST_FORCE)
+    quiet.passes(FIRST_FORCE)
     assert quiet.person.script.asked[0] == "fingers.held"
-    assert finding.status is Verdict.PASS, finding.lines
 
 
 @pytest.mark.parametrize("error", [WizardAborted("left at the page"), KeyboardInterrupt()])
@@ -266,9 +263,8 @@ def test_a_person_stops_a_motion_while_it_runs(quiet, asked, look, kept, error) 
 
 
 def test_fingers_that_find_no_part_fail_the_step(quiet) -> None:
-    finding = quiet.run(FIRST_FORCE, first_force__part=lambda: None)
-    assert finding.status is Verdict.FAIL
-    assert "The fingers hold nothing (no_contact)" in finding.lines[-1]
+    named = "The fingers hold nothing (no_contact)"
+    quiet.ends(FAIL, FIRST_FORCE, named, first_force__part=lambda: None)
     assert quiet.torques == [0, 0]
 
 
@@ -303,7 +299,7 @@ WARN, FAIL = Verdict.WARN, Verdict.FAIL
         (REST, "unit.stuck", FAIL, "The counts do not change at rest"),
         (
             *(FORCE, "can.lose_next=6@contact, servos.loss=0.02", WARN),
-            "The line of the pads loses messages, The servos' line loses answers",
+            "The line of the pads loses messages; The servos' line loses answers",
         ),
         (FORCE, "servo1.watchdog_off", FAIL, "watchdog is not proven to stop the motors: servo 1"),
         (FORCE, "taxels.stuck_at=20-60:3000", FAIL, "taxels of pad finger0.inner are bad"),
@@ -317,9 +313,7 @@ def test_what_is_wrong_is_named(make_stand, step, fault, status, named) -> None:
     stand.knows(gripper__pads_meet=step is not FORCE)  # the last and longest of its motions
     for one in [] if hardware else fault.split(", "):
         stand.cell.inject(one)
-    finding = stand.run(step)
-    text = "\n".join(finding.lines)
-    assert (finding.status, [one for one in named.split(", ") if one not in text]) == (status, [])
+    finding = stand.ends(status, step, *named.split("; "))
     assert stand.torques == [0, 0]
     assert status is WARN or not finding.settings
 
@@ -400,9 +394,8 @@ def test_an_adapter_without_some_bit_rate_is_asked_for_the_others(make_stand: Ma
 def test_a_drive_on_the_same_bus_is_not_taken_for_the_unit(stand) -> None:
     mount = DriveMount(node_id=3, increments=1e6, start=0.0, low_switch=-0.1, high_switch=0.1)
     stand.cell.devices.can.add(SimulatedDrive(mount))
-    finding = stand.passes(UNIT)
+    finding = stand.passes(UNIT, "Beside it, node 3 is another device")
     assert finding.settings["tactile.node_id"] == 5
-    assert "Beside it, node 3 is another device" in "\n".join(finding.lines)
 
 
 def test_the_interface_is_asked_for_only_where_there_are_several(stand) -> None:
@@ -411,9 +404,7 @@ def test_the_interface_is_asked_for_only_where_there_are_several(stand) -> None:
     finding = stand.run(UNIT, unit__interface="slcan /dev/ttyACM1")
     assert finding.settings["tactile.channel"] == "/dev/ttyACM1"
     stand.lines.ports = stand.lines.ports[:1]
-    finding = stand.run(UNIT)
-    assert finding.status is Verdict.FAIL
-    assert "No CAN interface was found" in finding.lines[0]
+    stand.ends(FAIL, UNIT, "No CAN interface was found")
 
 
 def test_the_interfaces_of_the_system_have_the_bit_rate_that_is_set(stand, monkeypatch) -> None:
@@ -600,19 +591,15 @@ def test_a_thickness_that_was_typed_wrong_is_found(ready) -> None:
         "fingers.on_block2": ready.person.does("block 30"),
         "fingers.kind": "parallel",
     }
-    notes = ready.run(FINGERS, fingers__block2=50.0, **replies)
-    assert notes.status is Verdict.FAIL
-    assert "was a thickness typed wrong" in notes.lines[0]
+    ready.ends(FAIL, FINGERS, "was a thickness typed wrong", fingers__block2=50.0, **replies)
     assert "fingers.free" not in ready.person.script.asked
     # A smaller error warns.
-    notes = ready.run(FINGERS, fingers__block2=33.0, **replies)
-    assert notes.status is Verdict.WARN
-    assert "the residual is above 0.5 mm: measure the blocks again" in "\n".join(notes.lines)
+    named = "the residual is above 0.5 mm: measure the blocks again"
+    ready.ends(WARN, FINGERS, named, fingers__block2=33.0, **replies)
 
 
 def test_one_block_is_enough_and_worth_a_word(ready) -> None:
-    notes = ready.run(FINGERS, fingers__block2=0.0)
-    assert notes.status is Verdict.WARN
+    notes = ready.ends(WARN, FINGERS, fingers__block2=0.0)
     assert notes.settings["gripper.linkage"]["link_mm"] == pytest.approx(60.0, rel=0.05)
 
 
@@ -658,9 +645,8 @@ def test_sound_pads_pass_without_a_word_at_rest_and_pressed(make_stand, layout) 
 
 
 def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(make_stand) -> None:
-    finding = make_stand(unit=ControlUnitSettings(boards=(0, 0))).run(PADS_AT_REST)
-    assert finding.status is Verdict.WARN
-    assert "press each pad after every work" in "\n".join(finding.lines)
+    stand = make_stand(unit=ControlUnitSettings(boards=(0, 0)))
+    finding = stand.ends(WARN, PADS_AT_REST, "press each pad after every work")
     assert finding.settings == {"tactile.board_serial_numbers": None}
 
 
@@ -682,17 +668,14 @@ COLUMNS = [PadMount(pad=0, sent_as=0, columns_mirrored=True)]
     ],
 )
 def test_pads_that_sit_otherwise_are_found_named_and_set(make_stand, mounts, named) -> None:
-    finding = make_stand(mounts=mounts).run(PRESSED)
-    assert finding.status is Verdict.WARN
-    assert named in "\n".join(finding.lines)
+    finding = make_stand(mounts=mounts).ends(WARN, PRESSED, named)
     set_mounts = [PadMount(**mount) for mount in finding.settings["tactile.mounting"]]
     assert set_mounts == mounts
 
 
 def test_a_dead_pad_is_named_and_fails_the_step(stand) -> None:
-    finding = stand.run(PRESSED, pads_pressed__press=[stand.person.does("lift"), "skip", None])
-    assert finding.status is Verdict.FAIL
-    assert "finger0.inner was not found" in finding.lines[-1]
+    replies = [stand.person.does("lift"), "skip", None]
+    finding = stand.ends(FAIL, PRESSED, "finger0.inner was not found", pads_pressed__press=replies)
     assert "No pad shows a fingertip" in stand.person.script.text
     assert finding.settings == {}
 
@@ -749,16 +732,13 @@ def test_a_table_that_is_wrong_by_a_factor_stays_with_gains_of_the_pads(make_sta
     stand = make_stand(law=SensorLaw(nodes=((0.0, 0.0012 * 4095), (0.0, 4095.0))))
     law = {"counts": [1000.0], "force_n": [1.0]}
     stand.knows(tactile__tare_frames=60, tactile__calibration=law)
-    finding = stand.run(LAW)
-    assert finding.status is Verdict.WARN, finding.lines
+    finding = stand.ends(WARN, LAW)
     assert finding.settings["tactile.pad_gains"] == pytest.approx([1.2, 1.2], rel=0.05)
     assert "tactile.calibration" not in finding.settings
 
 
 def test_without_a_scale_the_forces_are_unchecked(make_stand: MakeStand) -> None:
-    finding = make_stand().run(LAW, pads_law__with="skip")
-    assert finding.status is Verdict.WARN
-    assert "not checked" in finding.lines[0]
+    make_stand().ends(WARN, LAW, "not checked", pads_law__with="skip")
 
 
 @pytest.mark.parametrize(
