@@ -80,12 +80,12 @@ class FaultRow:
     """What the cell has to do."""
     limit_s: float | None
     """Within which time in s the cell has to detect it; None where no time applies."""
+    number: int | tuple[int, ...] = 0
+    """Number of the latched fault, or of those that race for it; 0 where none is required."""
     scenario: "Callable[[FaultRow], Observed] | None" = None
     """Brings the fault about; None for `grasp_with_fault`."""
     changes: Mapping[str, Any] = field(default_factory=dict)
     """Changes of the config for it, see `campaign_config`."""
-    number: int | tuple[int, ...] = 0
-    """Number of the latched fault, or of those that race for it; 0 where none is required."""
     real_time: bool = False
     """Whether it runs real processes in real time."""
     long: bool = False
