@@ -2,7 +2,7 @@
 
 The wizard's own terminal asks in virtual time, at the cell of the tutorial's commands. The hands
 are those of `tactile-cell simulate --ask`, moved by the person of the tests.
-`tests/cell/commissioning/test_engine.py` compares the file with it.
+`tests/cell/commissioning/test_wizard.py` compares the file with it.
 """
 
 import contextlib

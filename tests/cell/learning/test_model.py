@@ -1,35 +1,50 @@
-"""Taught models: their files, what a teaching shows, and the processes and threads that train."""
+"""Taught models: files, what a teaching shows, processes that train, and the drift they follow."""
 
 import json
 import os
 import signal
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from cell.config.file import changed_config
+from cell.control.identification import EarlyDecider, Identification
+from cell.control.plan import GraspStep, Pose
+from cell.control.states import CellState
 from cell.errors import CellError, ModelError, RequestRefused
 from cell.learning.model import Trained, load_model, save_model
 from cell.learning.parallel import workers
 from cell.learning.taught_model import TaughtModel
 from cell.learning.teaching_summary import ToldApart, teaching_notes, told_apart
-from cell.learning.training import train
-from cell.runtime.goals import IdentifyGoal
+from cell.learning.training import calibrate_model, identify_recorded, train
+from cell.recording.reader import read_recording
+from cell.runtime import tasks
+from cell.runtime.goals import IdentifyGoal, TeachGoal
 from cell.runtime.tasks import ModelFile, Tasks
+from cell.runtime.worker import Report
+from gripper.values.outcome import GraspResult
+from recognition.drift.drift import Drift, DriftGrid
 from recognition.drift.self_zero import drawn_zero
+from recognition.errors import ContactError
 from recognition.evaluation.evaluation import Evaluation, evaluate
 from recognition.evaluation.splits import a_day_later
 from recognition.grasp import DRAWING_SOURCE, Grasp
 from recognition.recognizer import Posterior
 from recognition.recognizers import make_trainer
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
-from tests.cell.cells import SURE, Scripted, plain_grasp
+from recognition.statistics.fusion import Decision, DecisionKind, StopRule
+from tests.cell.cells import REAL, SURE, UNSURE, Scripted, plain_grasp, small_config
+from tests.cell.served import done
+from tests.fuzz.harness import Clock
 from tests.recognition.conftest import OBJECTS, make_grasps
-from tests.values import make_pads
+from tests.values import make_pads, raising
 
 PADS = make_pads(shapes=((8, 5), (8, 5)), adc_max=255)
 
@@ -288,8 +303,8 @@ def test_two_workers_give_the_same_figures() -> None:
     alone = evaluate([parts], trainer)
     with workers(2) as mapper:
         spread = evaluate([parts], trainer, mapper=mapper)
-    for field in fields(Evaluation):
-        np.testing.assert_equal(getattr(spread, field.name), getattr(alone, field.name))
+    for one in fields(Evaluation):
+        np.testing.assert_equal(getattr(spread, one.name), getattr(alone, one.name))
 
 
 @pytest.mark.slow
@@ -325,3 +340,297 @@ def test_training_and_answering_have_one_thread(make_bench, taught, monkeypatch)
         Tasks(bench.controller, ModelFile(model, None)).named(IdentifyGoal(present="ball"))
         assert noting.seen == [{1}] * 3
         assert threads() == {HOST_THREADS}
+
+
+# -- A running cell follows the drift of its sensors, says so once, and can keep it ----------------
+
+
+DRIFT = Drift(gains=(float(np.exp(-1 / 3)),), aperture_offset_m=-4e-3)
+
+
+@dataclass(frozen=True)
+class Follower:
+    """Finds a drift likely from the second grasp on, and no more from the fourth."""
+
+    labels: tuple[str, ...] = ("ball", "box")
+    zero, ends_early = None, False
+    grid: DriftGrid = field(default_factory=DriftGrid)
+
+    def posterior(self, grasp: Grasp) -> Posterior:
+        unknown = 0.1 if self.grid.likely else 0.9
+        return Posterior(labels=self.labels, probability=np.array([0.9, 0.1]), unknown=unknown)
+
+    def with_grid(self, grid: DriftGrid) -> "Follower":
+        return replace(self, grid=grid)
+
+    def with_caution(self, _caution: float) -> "Follower":
+        return self
+
+    to_arrays = from_arrays = gauge = without_gauges = with_caution  # nobody asks for them here
+
+    def follow(self, grasp: Grasp) -> "Follower":
+        n = self.grid.n_followed + 1
+        gain, offset = np.log(DRIFT.gain), 1e3 * DRIFT.aperture_offset_m
+        off = (self.grid.log_gains[:, None] - gain) ** 2 + (self.grid.offsets_mm - offset) ** 2
+        followed = -1e4 * off if 2 <= n < 4 else np.zeros(())
+        return self.with_grid(replace(self.grid, followed=followed, n_followed=n))
+
+
+def record(grasp: Grasp, result: GraspResult = GraspResult.FORCE_REACHED, early: bool = False):
+    outcome = SimpleNamespace(
+        result=result, ended_early=early, final_force_n=5.0, final_aperture_m=0.01, short=""
+    )
+    return SimpleNamespace(grasp=grasp, outcome=outcome, early=None)
+
+
+def model_of(recognizer: Any, **changes: object) -> TaughtModel:
+    """Return a model with that recognizer."""
+    model = TaughtModel(small_config(**changes))
+    model._trained = Trained(recognizer=recognizer, trainer_name="force_ramp")
+    return model
+
+
+def identified(model: TaughtModel, *records: Any) -> str:
+    """Identify once; return the remark."""
+    return named(grasping(records[0].grasp, records), model)[1]
+
+
+def named(controller: Any, model: TaughtModel, **goal: Any) -> tuple[Identification, str]:
+    """Identify once; return the answer and the remark."""
+    cell = tasks.Tasks(controller, tasks.ModelFile(model, None))
+    return cell.named(IdentifyGoal(**goal))
+
+
+def test_only_whole_ramps_that_held_something_teach() -> None:
+    model, grasp = model_of(Follower()), plain_grasp("ball")
+    weak = record(grasp, GraspResult.FORCE_NOT_REACHED)
+    identified(model, weak, record(grasp, early=True))
+    assert model.drift.n_followed == 0
+    identified(model, weak, record(grasp))
+    assert model.drift.n_followed == 1
+    model.forget_drift()
+    assert model.drift.n_followed == 0
+
+
+def test_others_stay_as_they_are() -> None:
+    one = record(plain_grasp("ball"))
+    off: Any = {"recognition.follow_drift": False}
+    plain = SimpleNamespace(labels=("ball", "box"), posterior=lambda _grasp: posterior(0.5))
+    for model in (model_of(plain), model_of(Follower(), **off)):
+        before = model.recognizer
+        assert [identified(model, one) for _ in range(3)] == 3 * [""]
+        assert model.recognizer is before
+
+
+def test_recorded_grasps_are_followed_in_the_order_of_time() -> None:
+    times = {"b": 30, "c": 40, "a": 20, "d": 10}
+    grasps = [replace(plain_grasp("ball"), source=k, start_ms=t) for k, t in times.items()]
+    model: Any = SimpleNamespace(recognizer=Follower(), pads=grasps[0].pads)
+    answers = identify_recorded(model, grasps, follow=True)
+    drifts = [drift for *_, drift in answers if drift]
+    assert [drift.n_followed for drift in drifts] == [2, 3, 1, 0]
+    assert [answer.name for answer, *_ in answers] == ["ball", "ball", "UNKNOWN", "UNKNOWN"]
+    assert drifts[0].values["gain"] == pytest.approx(0.72, abs=0.01)
+    alone = identify_recorded(model, grasps)
+    assert [answer.name for answer, *_ in alone] == 4 * ["UNKNOWN"]
+
+
+def grasping(grasp: Grasp, records: Sequence[Any] = ()) -> Any:
+    """Return a controller whose grasps are given."""
+
+    def identify(recognizer: Follower, *_: object, **__: object) -> Identification:
+        posterior = recognizer.posterior(grasp)
+        return Identification(
+            label="ball",
+            decision=Decision(kind=DecisionKind.DECIDED, label="ball", probability=0.9),
+            posteriors=(posterior,),
+            fused=posterior,
+            records=tuple(records) or (record(grasp),),
+            drift=getattr(recognizer, "grid", None),
+        )
+
+    take = lambda _step, *, label: record(replace(grasp, label=label))  # noqa: E731
+    journal = Mock(brought=None)
+    return Mock(clock=Clock(), journal=journal, identify=identify, grasp=take)
+
+
+def test_a_session_says_each_drift_once_and_takes_it_off_what_is_taught_then(monkeypatch) -> None:
+    taught_with: list[list[Grasp]] = []
+
+    def train(grasps: list[Grasp], name: str, **_options: object) -> Trained:
+        taught_with.append(list(grasps))
+        return Trained(recognizer=Follower(), trainer_name=name)
+
+    monkeypatch.setattr("cell.learning.taught_model.train", train)
+    grasp = plain_grasp("ball")
+    controller = grasping(grasp)
+    config = small_config(recognition__recognizer="level_check")  # one grasp is enough for it
+    model, told = TaughtModel(config), list[Any]()
+    cell = tasks.Tasks(controller, tasks.ModelFile(model, None))
+    report = Report(1, lambda **now: told.append(now))
+    cell.teach(TeachGoal(label="ball", grasps=1), report)
+    assert np.array_equal(taught_with[0][0].counts, grasp.counts)
+    answers = []
+    for _ in range(3):
+        answers.append(cell.identify(IdentifyGoal(), report))
+    drifted = "the sensors have drifted since teaching: gain 0.72, opening -4.0 mm"
+    assert [answer.remark for answer in answers] == ["", drifted, ""]
+    controller.journal.note.assert_called_once_with("drift", drifted)
+    assert [a.drift.likely for a in answers if a.drift] == [False, False, True]
+    cell.teach(TeachGoal(label="box", grasps=1), report)
+    first, second = taught_with[1]
+    assert np.array_equal(first.counts, grasp.counts)
+    assert second.aperture_m == pytest.approx(grasp.aperture_m + 4e-3, abs=1e-4)
+    assert model.drift.n_followed == 3
+    again = [cell.identify(IdentifyGoal(), report).remark for _ in range(2)]
+    assert again == ["the sensors are again as at the teaching", ""]
+
+
+def test_a_plugin_saves_what_was_taught_or_what_it_followed(plugin, taught, tmp_path) -> None:
+    answer = done(plugin, IdentifyGoal(max_grasps=1, present="ball", whole_ramps=True))
+    plugin.save(tmp_path / "taught.npz")
+    plugin.save(tmp_path / "followed.npz", followed=True)
+    plugin.result(plugin.forget_drift(), 5.0)
+    plugin.save(tmp_path / "forgotten.npz", followed=True)
+    assert answer.drift is not None
+    names = ("taught", "followed", "forgotten")
+    before, same, followed, forgotten = (
+        load_model(path).recognizer.grid.drift  # type: ignore[attr-defined]
+        for path in (taught.result.model, *(tmp_path / f"{name}.npz" for name in names))
+    )
+    assert before == same == forgotten
+    assert followed != before
+
+
+def test_the_recording_names_the_drift_of_each_answer(taught) -> None:
+    results = read_recording(taught.result.recording).results
+    assert results[0]["drift_n_grasps"] == 0 < results[1]["drift_n_grasps"]
+    assert all(result["drift_gain"] == pytest.approx(1.0, abs=0.1) for result in results)
+    assert all(result["drift_unchanged"] > 0.4 for result in results)
+    assert taught.result.as_json()["drift"]["n_grasps"] > results[1]["drift_n_grasps"]
+    assert not taught.result.as_json()["remarks"]
+
+
+def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught) -> None:
+    model = load_model(taught.result.model)
+    drift = Drift(gains=(0.8,), aperture_offset_m=-1e-3)
+    balls = [drift.apply(grasp) for grasp in taught.grasps if grasp.label == "ball"]
+    gauged = TaughtModel(
+        taught.config,
+        replace(model, recognizer=calibrate_model(model, {"ball": balls})),
+        training_set=taught.grasps,
+    )
+    before = gauged.drift.drift
+    assert before.aperture_offset_m < -0.3e-3
+    gauged.train()
+    assert gauged.drift.drift == before
+
+
+@pytest.mark.usefixtures("made_up_zero")
+def test_a_model_that_was_taught_without_a_self_zero_is_named_once(taught, make_bench) -> None:
+    bench = make_bench(small_config(self_zero="always")).ready()
+    model = TaughtModel.load(bench.config, taught.result.model)
+    goal = {"present": "ball", "max_grasps": 1}
+    first, second = (named(bench.controller, model, **goal)[1] for _ in range(2))
+    assert "was taught without a self-zero" in first
+    assert "without a self-zero" not in second
+
+
+# -- Ramps that end as soon as the data so far suffice ---------------------------------------------
+
+
+STEP = GraspStep(pose=Pose(), force_n=6.0)
+LIKELY = (0.999, 0.01)
+UNLIKELY = (0.001, 0.01)
+
+
+def posterior(share: float, unknown: float = 0.01) -> Posterior:
+    probability = np.array([share, 1.0 - share])
+    return Posterior(labels=("ball", "box"), probability=probability, unknown=unknown)
+
+
+def test_a_ramp_ends_where_it_suffices_with_the_answer_of_that_moment(make_bench, tmp_path) -> None:
+    bench = make_bench(folder=tmp_path).ready()
+    recognizer = Scripted(UNSURE, LIKELY, UNLIKELY)
+    answer = bench.controller.identify(recognizer, [STEP], early=True)
+    (record,) = answer.records
+    assert record.outcome.ended_early
+    assert (answer.label, answer.posteriors) == ("ball", (record.early,))
+    first, last = recognizer.grasps
+    assert first.n_frames < last.n_frames <= record.grasp.n_frames
+    assert first.contact_frame == last.contact_frame == record.grasp.contact_frame
+    assert record.grasp.contact_frame is not None
+    assert first.force_n[-1] == pytest.approx(3.0, abs=0.4)
+    assert last.force_n[-1] == pytest.approx(4.5, abs=0.4)
+    assert record.cycles[-1].setpoint_n < 5.0
+    assert record.outcome.final_force_n == pytest.approx(record.cycles[-1].setpoint_n, abs=0.5)
+    assert (bench.controller.life.state, bench.grip_n) == (CellState.IDLE, 0.0)
+    bench.cell.close()
+    recording = read_recording(tmp_path / "recording.mcap")
+    assert [event["text"] for event in recording.events if event["kind"] == "ramp"] == [
+        f"ended early at {record.cycles[-1].setpoint_n:.1f} N"
+    ]
+    assert [result["n_ended_early"] for result in recording.results] == [1]
+    assert len(recording.grasps[0].counts) == record.grasp.n_frames
+
+
+@pytest.mark.parametrize(
+    ("answer", "options"),
+    [
+        (LIKELY, {"look": raising(ContactError("no contact yet"))}),
+        ((0.999, 0.05), {}),  # Enough for the end of a sequence.
+        (LIKELY, {"drawn_m": (9.5e-3,)}),  # The size of a whole ramp is compared with it.
+        ((0.9, 0.01), {}),
+    ],
+)
+def test_nothing_but_a_sure_name_suffices(answer, options) -> None:
+    recognizer = Scripted(answer, **options)
+    decider = EarlyDecider(recognizer, (), StopRule(error_rate=0.02))
+    grasp = plain_grasp("")
+    assert not any(decider.suffices(share, lambda: grasp) for share in np.linspace(0.0, 1.0, 50))
+    assert (decider.answer, decider.error) == (None, None)
+    assert len(recognizer.grasps) == 2
+
+
+def test_earlier_grasps_count_and_each_share_is_checked_once() -> None:
+    grasp, rule = plain_grasp(""), StopRule(error_rate=0.03)
+    for earlier, n_checks in (((), 2), ((posterior(0.95), posterior(0.95)), 1)):
+        recognizer = Scripted((0.95, 0.01))
+        decider = EarlyDecider(recognizer, earlier, rule)
+        suffices = [decider.suffices(share, lambda: grasp) for share in (0.49, 0.5, 0.6, 0.9, 0.95)]
+        assert suffices == [False, n_checks == 1, False, False, False]
+        assert len(recognizer.grasps) == n_checks
+    against = EarlyDecider(Scripted((0.95, 0.01)), (posterior(0.02),), rule)
+    assert not against.suffices(0.8, lambda: grasp)
+
+
+def test_a_check_that_fails_is_a_complaint_and_the_ramp_goes_on(bench) -> None:
+    bench.ready()
+    looks = iter([raising(CellError("a broken model")), bool, bool])
+
+    def look() -> object:
+        return next(looks)()
+
+    recognizer = Scripted((0.9, 0.01), look=look)
+    answer = bench.controller.identify(recognizer, [STEP], early=True)
+    (record,) = answer.records
+    assert (answer.label, record.early, record.outcome.ended_early) == ("ball", None, False)
+    assert record.cycles[-1].setpoint_n == 6.0
+    assert answer.complaints == ("early checks of the ramp of grasp 1: a broken model",)
+    assert len(recognizer.grasps) == 3
+    assert bench.controller.life.fault is None
+
+
+def test_by_touch_alone_and_for_other_kinds_ramps_are_whole(taught) -> None:
+    for name, use_aperture in (("force_ramp", True), ("level_check", True), ("force_ramp", False)):
+        changes = {"recognition.recognizer": name, "recognition.use_aperture": use_aperture}
+        config = changed_config(taught.config, changes)
+        model = TaughtModel(config, training_set=taught.grasps)
+        model.train()
+        assert model.ends_early is (name == "force_ramp" and use_aperture)
+
+
+def test_ramps_are_whole_where_the_loop_would_wait_for_answers() -> None:
+    assert small_config().decides_early
+    assert not small_config(**REAL, loop__own_process=False).decides_early
+    assert small_config(**REAL, loop__own_process=True).decides_early
