@@ -62,7 +62,7 @@ def servos(*zeros_raw: int) -> tuple[SimulatedServoSettings, ...]:
 TILT_RAD = math.radians(1.0), math.radians(-0.5)
 SHIFT_M = 0.8e-3, -0.5e-3
 OTHER = {
-    "foam": Foam(modulus_pa=190e3, densification=0.8, spread_m=1.8e-3),
+    "foam": Foam(modulus_pa=190e3, exponent=1.3, spread_m=1.3e-3),
     "law": SensorLaw(gain=0.85),
     "pads": PadPair(shift_m=SHIFT_M, tilt_rad=TILT_RAD, gains=(1.1, 0.9), stiffness=(1.1, 0.95)),
     "servos": servos(2058, 2058),
@@ -163,8 +163,8 @@ def drawn_cell(seed: int) -> dict[str, Any]:
     mounts = rng.integers(-15, 16, 2) + 2048
     foam = Foam(
         modulus_pa=float(np.exp(rng.uniform(np.log(180e3), np.log(360e3)))),
-        densification=rng.uniform(0.55, 0.85),
-        spread_m=rng.uniform(1.1e-3, 1.9e-3),
+        exponent=rng.uniform(1.2, 1.9),
+        spread_m=rng.uniform(0.8e-3, 1.35e-3),
     )
     tilt_rad = tuple(np.radians(rng.uniform(-1.0, 1.0, 2)).tolist())
     gains = tuple(np.exp(rng.uniform(np.log(0.8), np.log(1.25), 2)).tolist())
