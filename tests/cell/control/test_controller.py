@@ -117,7 +117,7 @@ def test_the_recording_holds_what_happened(make_bench: MakeBench, tmp_path: Path
     (result,) = recording.results
     assert result["label"] == "ball"
     assert result["shape"]["size_m"] == pytest.approx(answer.shape.size_m, abs=1e-6)
-    assert [one["kind"] for one in result["grasp_shapes"]] == ["sphere"]
+    assert [one["kind"] for one in result["grasp_shapes"]] == [answer.shape.kind]
     texts = [event["text"] for event in recording.events if event["kind"] == "callback"]
     assert texts == ["after grasp 1: unexpected error (RuntimeError): window closed"]
     assert [loop["overruns"] for loop in recording.statistics] == [0, 0]
