@@ -148,7 +148,7 @@ class PolledBoards(LatchingSource, ABC, Generic[_Board]):
 
     @abstractmethod
     def _receive(self) -> Sequence[TactileFrame]:
-        """Return the frames since the last call, and tell the boards; may raise LinkFault."""
+        """Return the frames since the last call, and update the boards; may raise LinkFault."""
 
     @abstractmethod
     def close(self) -> None:

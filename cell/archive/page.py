@@ -116,7 +116,7 @@ def _amount(value: float, unit: str) -> str:
 
 
 def _in_page_unit(value: float, unit: str) -> float:
-    """Return a change as displayed: a change of a logarithm in per cent."""
+    """Return a change in the unit of the page: log ratios in per cent."""
     return 100.0 * math.expm1(value) if unit == "log" else value
 
 

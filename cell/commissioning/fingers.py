@@ -118,7 +118,7 @@ def fit_linkages(
     n_blocks, n = angles.shape
 
     def scale_m(way: NDArray[np.float64]) -> float:
-        """Return the length that converts travel of the fingers to openings, by least squares."""
+        """Return the least-squares link length or pinion radius in m for the block sizes."""
         both = 2.0 * way.mean(axis=1)
         return float(both @ sizes_m / (both @ both))
 

@@ -516,9 +516,10 @@ def heat(rig: Rig, dialog: Dialog) -> Values:
 
 
 def watchdog(rig: Rig, dialog: Dialog) -> Values:
-    """Send nothing to a servo that presses on the scale, and see what it does.
+    """Compare the force on the scale before and after a silence of the bus.
 
-    Screw the arm on, its screw on the scale, and set the scale to zero. The servo presses on it.
+    The arm must be fixed, and its screw must touch the scale. Set the scale to zero. The servo
+    presses on it.
     """
     _press(rig, (0.07 if rig.model.supply_current else 0.1) * rig.model.stall_current_a)
     rig.watch("before the silence", 1.0)

@@ -267,7 +267,7 @@ class SelfZeros:
             self._refuse_other_hand()
 
     def _refuse_other_hand(self) -> None:
-        """Do not use the last one if it is of another hand."""
+        """Discard the saved self-zero if it was measured on another hand."""
         others = [key for key, value in self.hand.items() if self._saved_hand.get(key) != value]
         if self._last is not None and others:
             self._refuse(

@@ -186,7 +186,7 @@ class HandServer:
                 due_s = max(due_s + self._hand.period_s, now_s)
 
     def end(self) -> None:
-        """Leave a held part held, close the ports, send the reason."""
+        """Close the ports, keep a held part held, and send why the process ends."""
         self._hand.shutdown()
         self._hand.close()
         if self._ending:

@@ -315,7 +315,7 @@ class VirtualPads:
     def _approach(
         self, touch_m: float, presses: Sequence["PressedPad"], rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], float]:
-        """Return how far in m the fingers have closed, and the force they stop with in N."""
+        """Return the closing travel in m of each period, and the final force in N."""
         course = self.course
         impact_n = rng.uniform(*course.impact_n)
         depth_m = sum(float(np.interp(impact_n, p.force_n, p.depth_m)) for p in presses)

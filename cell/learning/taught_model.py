@@ -363,10 +363,10 @@ def _saved_training_set(model: LoadedModel) -> tuple[Grasp, ...]:
 
 
 def _has_trained(model: LoadedModel, grasps: Sequence[Grasp]) -> bool:
-    """Return whether these grasps may have trained a model; True without grasps.
+    """Return whether the model was trained on the first of these grasps, by labels and checksum.
 
-    Further grasps after those of the model are accepted: the data set is written first, and the
-    program may have ended before the model was written.
+    True without grasps. Further grasps are accepted: the data set is written first, and the program
+    may have ended before the model was written.
     """
     if not grasps:
         return True

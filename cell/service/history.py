@@ -344,7 +344,7 @@ class History:
         return [] if self._path is None else read_day(self._path, day)
 
     def update(self) -> None:
-        """Write the rows since the last call, and compute the sums; raises nothing."""
+        """Write new rows to SQLite and update the totals. An error becomes a note."""
         with self._updating:
             self._update()
 

@@ -235,11 +235,11 @@ class LoopRunner:
         try:
             action = running.step(moment)
         except LimitExceeded:
-            # More force than can be is above the cap first of all, where it is beyond that too.
+            # A goal beyond a limit may be caused by a force above the cap. Report that fault first.
             self.servos.goals.check_force(noise_excluded=True)
             raise
         except PartLost:
-            # A finger without torque lets a part go: then that is the cause.
+            # A servo without torque lets the part go. Report this as the cause.
             self.servos.check_torques()
             raise
         if action.goals is not None:

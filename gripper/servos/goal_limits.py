@@ -182,7 +182,7 @@ class GoalWriter:
             return
         newest = self.newest_force
         if newest is not None and sample.t_s - newest.t_s > self._settings.force_stale_s:
-            self._forces.clear()  # those before a pause say nothing of the present force
+            self._forces.clear()  # those before a pause do not show the present force
         if self._forces.push(sample) is not None:
             self.newest_force = sample
 

@@ -163,7 +163,10 @@ def _centre_and_spread(
 
 
 def _whitener(share: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the whitening matrices (n_taxels, K, K) of shares (K, n_taxels) under noise (K, 2)."""
+    """Return the inverse Cholesky factor of the covariance of the K levels of each taxel.
+
+    It is (n_taxels, K, K), for shares (K, n_taxels) and noise (K, 2).
+    """
     alone = (noise**2).sum(axis=1) / 4.0 + _MODEL_FLOOR**2
     by_taxel = share.T
     covariance = (_TAXEL_SHARE**2) * by_taxel[:, :, None] * by_taxel[:, None, :]

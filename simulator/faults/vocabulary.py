@@ -84,7 +84,7 @@ class Fault:
             self.undo()
 
     def meets(self, other: "Fault") -> bool:
-        """Return whether both use one knob of one device; ``servos`` are each ``servoN``."""
+        """Return whether both set the same knob of the same device; ``servos`` means each servo."""
         names = [fault.entry.name for fault in (self, other)]
         first, second = (name.partition(".")[0].rstrip("sN") for name in names)
         apart = self.index != other.index and all(name.startswith(_EACH) for name in names)

@@ -239,6 +239,6 @@ class GripControl:
         return self._goals.goals(state)
 
     def quiet_goals(self, moment: Moment) -> tuple[ServoGoal, ...]:
-        """Return the last goals of a grip: without a push."""
+        """Return goals that keep the last balancing drive, without a push."""
         self.grip.drive_n = self.grip.balance_n
         return self._goals.goals(moment.state)

@@ -257,7 +257,7 @@ class PartWatch:
         return self.ran or (self.suspicious and self._confirmed(moment, stiffness_n_m))
 
     def _compare(self, moment: Moment, sample: ForceSample) -> None:
-        """Begin or end a doubt by a valid sample."""
+        """Start a suspicion when a valid sample shows empty pads; end it when one shows load."""
         pads, suspicion = self.pads, self._suspicion
         empty, sudden = pads.empty, pads.suddenly_empty(self._grip.planned_n)
         if suspicion is None:

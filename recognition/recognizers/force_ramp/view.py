@@ -357,7 +357,7 @@ class _Teaching:
 
     @cached_property
     def unit(self) -> NDArray[np.float64]:
-        """Unit of each part of a drift."""
+        """Unit of each drift component: log gain of each pad, then opening in mm."""
         return self.per_drift(SETTINGS.log_gain_unit, SETTINGS.offset_unit_mm)
 
     @cached_property
