@@ -47,7 +47,7 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "recover": ("recording:recover", "Save the undamaged data of a damaged recording."),
     },
     "archive": {
-        "add": ("archive:add", "Add recordings and data sets, each grasp once."),
+        "add": ("archive:add", "Add the new grasps of recordings and data sets."),
         "report": ("archive:report", "Write the page of an archive: confusions, drift, ageing."),
     },
 }
@@ -69,7 +69,7 @@ _PANELS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "Operate": {
         "serve": ("serve:serve", "Run the cell for people, PLCs, robots and other hosts."),
         "hand": ("", "Gripper and sensor: zero, release, clear, bench."),
-        "service": ("", "The installed cell: install, support."),
+        "service": ("", "The cell as a systemd service: install, support."),
     },
     "Look back": {
         "recording": ("", "Recordings: report, plot, list, mark, recover."),

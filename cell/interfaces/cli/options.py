@@ -74,6 +74,7 @@ Seed = Annotated[
         help="Seed of poses and noise [default: the config key seed].",
         min=0,
         max=MAX_SEED,
+        metavar="N",
     ),
 ]
 Model = Annotated[Path | None, typer.Option("--model", "-m", help="File of a taught model.")]
@@ -104,7 +105,8 @@ Faults = Annotated[
     ),
 ]
 Cells = Annotated[
-    list[str] | None, typer.Option("--cell", help="Only grasps of this cell; repeat for several.")
+    list[str] | None,
+    typer.Option("--cell", metavar="NAME", help="Only grasps of this cell; repeat for several."),
 ]
 Days = Annotated[
     str | None,
@@ -114,7 +116,9 @@ Days = Annotated[
 ]
 Objects = Annotated[
     list[str] | None,
-    typer.Option("--object", help="Only grasps of this object; repeat for several."),
+    typer.Option(
+        "--object", metavar="NAME", help="Only grasps of this object; repeat for several."
+    ),
 ]
 
 

@@ -80,7 +80,7 @@ def cell_config(
         print_cell(f"{config.name}, simulated ({file})")
     else:
         ports = f"{config.gripper.port}, {config.tactile.place}"
-        print_cell(f"{config.name}, real at {ports} ({file})")
+        print_cell(f"{config.name} at {ports} ({file})")
     if seed is not None:
         config = config.model_copy(update={"seed": seed})
     return with_faults(config, faults, simulate=simulate)

@@ -353,7 +353,7 @@ def test_the_first_line_names_the_cell(config, tmp_path, monkeypatch, capfd) -> 
     assert first_line("-c", config) == f"cell: simulated cell, simulated ({config})"
     call("config", "init", "--example", "paper-gripper")
     assert first_line() == (
-        "cell: paper gripper, real at /dev/ttyUSB0, socketcan can0 (tactile-cell.yaml)"
+        "cell: paper gripper at /dev/ttyUSB0, socketcan can0 (tactile-cell.yaml)"
     )
     Path("tactile-cell.yaml").unlink()
     Path("tactile-cell.yaml").symlink_to("gone.yaml")
@@ -755,6 +755,11 @@ def typed(monkeypatch: pytest.MonkeyPatch) -> Callable[..., TerminalDialog]:
 def test_choices_are_taken_by_number_name_or_enter(typed, lines, answer, capsys) -> None:
     assert typed(*lines).choose("q", "Which?", CHOICES, "a") == answer
     assert "  1  the first (Enter)\n  | |\n  2  the second" in capsys.readouterr().out
+
+
+def test_a_step_with_one_answer_asks_for_enter(typed, capsys) -> None:
+    typed("x", "").confirm("q", "Move it.")
+    assert "Press Enter when it is done, or q to leave." in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -20,13 +20,18 @@ def add(
         list[Path], typer.Argument(help="Folders, recordings or data sets; folders with all below.")
     ],
     target: Annotated[str, typer.Option("--to", help="Folder or URL (fsspec) of the archive.")],
-    cell: Annotated[str, typer.Option("--cell", help="Cell of the grasps that name none.")] = "",
+    cell: Annotated[
+        str, typer.Option("--cell", help="Name of the cell, for grasps without one.")
+    ] = "",
     jobs: Annotated[
-        int, typer.Option("--jobs", min=0, help="Processes that share the work, 0: one per core.")
+        int,
+        typer.Option(
+            "--jobs", min=0, metavar="N", help="Processes that share the work, 0: one per core."
+        ),
     ] = 1,
     json_file: options.Json = None,
 ) -> None:
-    """Add recordings and data sets to an archive, each grasp once.
+    """Add the new grasps of recordings and data sets to an archive.
 
     Needs the extra `archive`.
     """

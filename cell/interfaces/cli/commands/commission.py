@@ -84,8 +84,12 @@ class TerminalDialog(Dialog):
             if picture:
                 print_line(picture)
             keys[str(number)] = answer
-        while (chosen := keys.get(self._typed(f"{_LEAVE} leaves> ", watch))) is None:
-            print_line(f"type a number from 1 to {len(answers)}")
+        while (chosen := keys.get(self._typed(f"({_LEAVE}: leave)> ", watch))) is None:
+            print_line(
+                f"Press Enter when it is done, or {_LEAVE} to leave."
+                if [*answers] == [default]
+                else f"type a number from 1 to {len(answers)}"
+            )
         return chosen
 
     def number(
@@ -94,7 +98,7 @@ class TerminalDialog(Dialog):
         """Ask as `choose`."""
         self.say(text)
         low, high, unit = limits
-        prompt = f"{_LEAVE} leaves in {unit}{'' if default is None else f' [{default}]'}> "
+        prompt = f"{unit}{'' if default is None else f' [{default}]'} ({_LEAVE}: leave)> "
         while True:
             typed = self._typed(prompt, watch)
             if not typed and default is not None:
@@ -262,9 +266,9 @@ def bench(
 ) -> None:
     """Measure one servo in an hour: torque, friction, velocity register, heat, watchdog.
 
-    The servo is alone on its line and no part of a gripper. Each step shows what it moves and
-    asks first. You can skip it. Writes all readings (CSV) and the values (JSON), for `measured` of
-    a servo in the config.
+    Connect only this servo to the line. Take it out of the gripper. Each step shows what it moves
+    and asks first. You can skip it. Writes all readings (CSV) and the values (JSON), for
+    `measured` of a servo in the config.
     """
     dialog = TerminalDialog()
     try:

@@ -95,13 +95,17 @@ def calibrate(
         list[str] | None,
         typer.Option(
             "--gauge",
-            help="A taught object; repeat for several: two give a better result than one. "
-            "Without it, DATASET holds any grasps of a shift.",
+            metavar="NAME",
+            help="Measure the drift on this taught object; repeat for a second one (better). "
+            "Without it, DATASET has any grasps of a shift.",
         ),
     ] = None,
     model: options.FolderModel = None,
     grasps: Annotated[
-        int, typer.Option("--grasps", "-n", min=1, max=100, help="Grasps of each gauge object.")
+        int,
+        typer.Option(
+            "--grasps", "-n", min=1, max=100, metavar="N", help="Grasps of each gauge object."
+        ),
     ] = 3,
     config: options.Config = None,
     out_folder: options.Out = None,
@@ -189,13 +193,17 @@ def evaluate(
     fuse: Annotated[
         list[int] | None,
         typer.Option(
-            "--fuse", min=1, help="Grasps to fuse; repeat for several [default: 1, 2, 3, 5]."
+            "--fuse",
+            min=1,
+            metavar="N",
+            help="Grasps to fuse; repeat for several [default: 1, 2, 3, 5].",
         ),
     ] = None,
     recognizers: Annotated[
         list[str] | None,
         typer.Option(
             "--recognizer",
+            metavar="NAME",
             help="Repeat for several kinds, as doctor lists them with --plugins "
             f"[default: {', '.join(trainer_names())}].",
             callback=options.known_recognizers,

@@ -23,7 +23,9 @@ from recognition.recognizer import UNKNOWN
 
 ObjectsOption = Annotated[
     list[str] | None,
-    typer.Option("--object", help="Object; repeat for several [default: all configured]."),
+    typer.Option(
+        "--object", metavar="NAME", help="Object; repeat for several [default: all configured]."
+    ),
 ]
 
 
@@ -31,10 +33,20 @@ def run(
     config: options.Config = None,
     objects: ObjectsOption = None,
     teach_grasps: Annotated[
-        int, typer.Option("--teach", min=3, max=1000, help="Grasps taught of each object.")
+        int,
+        typer.Option(
+            "--teach",
+            min=3,
+            max=1000,
+            metavar="N",
+            help="Number of grasps to teach for each object.",
+        ),
     ] = 20,
     trials: Annotated[
-        int, typer.Option("--trials", min=1, max=1000, help="Identifications of each object.")
+        int,
+        typer.Option(
+            "--trials", min=1, max=1000, metavar="N", help="Identifications of each object."
+        ),
     ] = 10,
     out_folder: options.Out = None,
     seed: options.Seed = None,
@@ -98,7 +110,8 @@ def result_lines(result: MainResult, true_sizes: Mapping[str, str]) -> Iterator[
         order = [TABLE_1_LABELS.index(label) for label in result.labels]
         paper = paper_table()
         right = f"{paper.n_right} of {paper.n} right"
-        yield f"The paper's own cell (its Table 1): {right}; per cent:"
+        axes = "Rows: part held; columns: answer, in per cent"
+        yield f"The paper's own cell (its Table 1): {right}. {axes}"
         rows = [[TABLE_1[row][column] for column in order] for row in order]
         yield confusion_table(result.labels, rows)
     same: dict[bytes, list[ConfusionTable]] = {}

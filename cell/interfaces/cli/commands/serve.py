@@ -120,6 +120,7 @@ def serve(
         list[str] | None,
         typer.Option(
             "--allow",
+            metavar="HOST",
             help="Host or network that may connect; repeat for several [default: this machine].",
         ),
     ] = None,
@@ -140,6 +141,7 @@ def serve(
             "--speed",
             min=0.0,
             max=100.0,
+            metavar="FACTOR",
             help="Speed of the simulated time, 1: real time; 0: as fast as possible, and stopped "
             "between two jobs.",
         ),
@@ -148,9 +150,9 @@ def serve(
 ) -> None:
     """Run the cell for people, PLCs, robot programs and other hosts, until Ctrl-C.
 
-    Without a config file this is the simulated cell with five taught objects, and the page for a
-    browser is open. Its address is printed on standard error, with the token on a terminal only.
-    When clients can connect, one JSON line on standard output has all ports for a program. A
+    Without a config file this is the simulated cell with five taught objects, and the page is
+    available in a browser. Its address is printed on standard error, with the token on a terminal
+    only. When clients can connect, one JSON line on standard output has all ports for a program. A
     part that is held at the end stays held.
     """
     own = cell_config(config)

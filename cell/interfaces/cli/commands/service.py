@@ -324,7 +324,7 @@ def install(
     """Print udev rules, system user and systemd unit. Nothing is written without --apply.
 
     The service is `tactile-cell serve` with this config and model. It starts with the machine and
-    restarts when it was killed; a held part stays held.
+    starts again after a crash; a held part stays held.
     """
     served_with = () if model is None else ("--model", str(model.resolve()))
     checked = cell_config(config)

@@ -39,10 +39,8 @@ def simulate(
         typer.Option(
             "--ask",
             metavar="WORDS",
-            help="Act as the operator's hands at the cell that runs in --out, and end: look, "
-            "close, open, half, block, part, press, load, lift, empty, disconnect, connect. "
-            "Examples: 'open finger 0', 'block 10', 'press finger0.inner tip left'; 'help' "
-            "explains them. '-' asks for them line by line.",
+            help="Act as the operator's hands on the cell in --out, then end. 'help' lists the "
+            "actions; '-' reads them line by line.",
         ),
     ] = None,
     with_parent: Annotated[

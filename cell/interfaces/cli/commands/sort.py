@@ -20,7 +20,8 @@ from cell.runtime.tasks import Places, simulated_feed
 def sort(
     config: options.Config = None,
     parts: Annotated[
-        int, typer.Option("--parts", min=1, max=1_000_000, help="Number of parts.")
+        int,
+        typer.Option("--parts", min=1, max=1_000_000, metavar="N", help="Number of parts."),
     ] = 20,
     teach_grasps: Annotated[
         int,
@@ -28,7 +29,8 @@ def sort(
             "--teach",
             min=3,
             max=1000,
-            help="Without a model: grasps taught of each object of the simulated cell.",
+            metavar="N",
+            help="Without a model: number of grasps to teach for each simulated object.",
         ),
     ] = 20,
     model: options.FolderModel = None,

@@ -37,6 +37,7 @@ def teach(
             "-n",
             min=1,
             max=1000,
+            metavar="N",
             help=f"Number of grasps [default: {_GRASPS}, of a drawing {_VIRTUAL_GRASPS}].",
         ),
     ] = None,
