@@ -218,7 +218,7 @@ def _check_directory(file: BinaryIO, n_comment: int, n_arrays: int) -> None:
     file.seek(-_END_BYTES - n_comment, os.SEEK_END)
     stated = int.from_bytes(file.read(_END_BYTES)[10:12], "little")
     if stated != n_arrays:
-        raise zipfile.BadZipFile(f"{n_arrays} arrays found, {stated} stated")
+        raise zipfile.BadZipFile(f"its directory counts {stated} arrays, {n_arrays} are there")
 
 
 def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:

@@ -236,9 +236,9 @@ class Lifecycle:
             ) and not isinstance(error, FeedbackImplausible)
             part = "nothing is held" if empty else "no part was gripped"
         elif phase is GripperPhase.RELEASING:
-            part = "a part may be half held"
+            part = "a part may still touch the pads"
         else:
-            part = "a part may be touched"
+            part = "a part may touch the pads"
         note_fingers(error, f"{left} while {_DOING[phase]}{where}{watchdog}; {part}")
 
     def _note_grip(self, error: BaseException, left: FingersLeft) -> None:

@@ -153,7 +153,9 @@ class PositionerConfig(Section):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if (self.kind == "axes") != bool(self.axes):
-            raise ValueError("list positioner.axes if positioner.kind is axes, and only then")
+            raise ValueError(
+                "positioner.kind axes needs positioner.axes; other kinds must not have it"
+            )
         refuse_repeats((axis.moves for axis in self.axes), "moves of positioner.axes")
         refuse_repeats((axis.node_id for axis in self.drives), "node-IDs of positioner.axes")
         return self

@@ -133,8 +133,9 @@ class AxesPositioner:
         """
         if destination.pose is None:
             raise PositionerError(
-                f"the place {destination.place} of {destination.label} has no pose: write it "
-                "into sort.places for the axes, or bring the part as a host; the part is kept"
+                f"sort.places has no pose for {destination.place}, the place of "
+                f"{destination.label}. Add one, or use a host with the callback `places`. The part "
+                "is kept"
             )
         if not self.axes.ready:
             raise PositionerError(

@@ -99,7 +99,7 @@ class GraspCollector:
     def counts(self) -> NDArray[np.uint16]:
         """Counts of all frames, (n_frames, n_taxels). Raises ValueError if no frame came."""
         if not self._frames:
-            raise ValueError("no tactile frame came")
+            raise ValueError("no tactile frame was received; check the sensor line")
         return np.stack([frame.counts for frame, _ in self._frames])
 
     def during(self, spans: Sequence[TimeSpan]) -> NDArray[np.int64]:

@@ -121,7 +121,10 @@ def save_model(path: Path | str, trained: Trained, pads: PadArray) -> None:
     path, trainer_name = Path(path), trained.trainer_name
     kind = type(trained.recognizer)
     if _class_of(path, trainer_name, kind.__name__) is not kind:
-        raise ModelError(f"cannot write model {path}: {kind.__name__} is not of {trainer_name!r}")
+        raise ModelError(
+            f"cannot write model {path}: the trainer {trainer_name!r} did not make this "
+            "recognizer; name the one that did"
+        )
     if zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as present:
             if f"{_DATASET}.npy" in present.namelist():

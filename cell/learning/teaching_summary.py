@@ -12,7 +12,7 @@ from recognition.statistics.calibration import blocked_folds
 
 _ENOUGH_GRASPS = 10
 """Least number of grasps of an object for sure names within a series."""
-_MISSED = "one in six"
+_MISSED = "about 1 of 6"
 """Share of single grasps of taught objects that are UNKNOWN, and of others that get a name. Two to
 eight similar objects were taught with three or four grasps
 (docs/decisions/0006-parts-of-the-recognizer.md)."""
@@ -50,8 +50,8 @@ def _amount_note(members: Mapping[str, Sequence[Grasp]]) -> str:
     if not needs:
         return ""
     return (
-        f"teach {'; '.join(needs)}. Until then expect {_MISSED} of taught objects to be "
-        f"UNKNOWN, and {_MISSED} of similar untaught objects to get a name (simulated cell)"
+        f"teach {'; '.join(needs)}. Until then {_MISSED} taught objects is UNKNOWN, and "
+        f"{_MISSED} similar untaught ones gets a name (simulated cell)"
     )
 
 

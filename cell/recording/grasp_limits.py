@@ -50,9 +50,8 @@ def check_sizes(pads: PadArray, aperture_m: NDArray[np.float64]) -> None:
     known_m = aperture_m[~np.isnan(aperture_m)]
     if known_m.size and known_m.max() < LEAST_OPENING_M:
         raise ValueError(
-            f"aperture_mm never exceeds {1e3 * known_m.max():g}, expected "
-            f"{1e3 * LEAST_OPENING_M:g} or more somewhere: openings stand in mm, not in m; write "
-            "NaN where they are unknown"
+            f"the largest aperture_mm is {1e3 * known_m.max():g}, expected "
+            f"{1e3 * LEAST_OPENING_M:g} or more: write openings in mm, not in m; NaN if unknown"
         )
     for pad in range(len(pads.pad_shape)):
         places_m = pads.taxel_xy_m[pads.taxel_pad == pad]

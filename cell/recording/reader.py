@@ -105,7 +105,8 @@ class RecordedMessages:
             )
         except (StopIteration, *_DAMAGE) as cause:
             raise RecordingError(
-                f"{self.path} is not a recording: it has no description, as {RECORDING} has"
+                f"{self.path} is not a recording of this program: its metadata are missing. "
+                "Choose a recording.mcap"
             ) from cause
         RECORDING.check(metadata.get("format"), self.path, RecordingError)
         if metadata.get("crc32") != schema.metadata_crc32(metadata):

@@ -117,7 +117,8 @@ def recorded_report(recording: Recording) -> Page:
         return _page(recording)
     except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as cause:
         raise RecordingError(
-            f"{path}: a message has impossible values ({reason_text(cause)})"
+            f"{path}: a message has impossible values ({reason_text(cause)}); name another "
+            "recording"
         ) from cause
 
 

@@ -85,8 +85,8 @@ class BusLossMonitor:
         if self._one_sided >= _ONE_SIDED_PERIODS:
             raise FingerSilent(
                 f"servo {silent[0]} is silent while servo {living[0]} answers: the other finger "
-                f"stands still, the part may still be gripped or have been dropped. Servo "
-                f"{silent[0]} may have lost its supply or be restarting: check both, and its cable "
+                f"stands still, the part may still be gripped or have been dropped. Support the "
+                f"part, check supply and cable of servo {silent[0]}, then clear with a reboot "
                 f"({error})"
             ) from error
         if self._in_row >= _LEAST_LOST_PERIODS and lost_s > self._settings.bus_loss_s:

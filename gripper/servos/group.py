@@ -216,8 +216,9 @@ class Servos:
             if part_possible and not (off or releasing):
                 raise ServoFault(
                     self._ids[0],
-                    "the bus watchdog has tripped while a part was held, because nobody called "
-                    "tick; the servos have stopped, the part may still be gripped",
+                    "its bus watchdog has tripped while a part was held: the program sent nothing "
+                    f"to the servos for {1e3 * self._settings.watchdog_s:g} ms or more. The servos "
+                    "have stopped, the part may still be gripped. Clear, then release",
                 )
             state, force_n = limp or self.read_patiently(), self._settings.approach_force_n
             paths = self.mechanics.transmissions(state.angles_rad)

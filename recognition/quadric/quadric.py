@@ -130,7 +130,7 @@ def fit_height_field(xy_m: NDArray[np.float64], height: NDArray[np.float64]) -> 
     centre = share @ xy_m
     scale = float(np.sqrt(share @ np.sum((xy_m - centre) ** 2, axis=1)))
     if not scale > 0:
-        raise QuadricError(f"all {n} points have one position")
+        raise QuadricError(f"all {n} points lie at one place; give points at different places")
     x, y = ((xy_m - centre) / scale).T
     root = np.sqrt(share)
     design = np.stack([x * x, y * y, 2 * x * y, 2 * x, 2 * y, np.ones_like(x)], axis=1)

@@ -122,7 +122,7 @@ class ControlUnitFaults:
     )
     forces_each: int = knob(
         "unit.forces_each",
-        "only each n-th force message is made; the counter shows no gap",
+        "the unit sends only every n-th force message; the counter shows no gap",
         Number("messages", 1, 100, default=15, whole=True),
         off=1,
     )

@@ -49,7 +49,7 @@ class WireFaults:
         "each answer comes again after this time",
         Number("s", 1e-4, 1.0, default=0.0095),
     )
-    lag: bool = knob("servos.lagging", "each answer belongs to the previous request of its kind")
+    lag: bool = knob("servos.lagging", "each answer is that to the previous request of its kind")
     """It is replaced by the servo's previous answer of the same length."""
     chatter: Chatter | None = None
     """Bytes of another device, which damage an answer at the same time; None: no other device."""

@@ -138,7 +138,7 @@ def test_fingers_on_their_way_stop_where_they_are(make_cell, command, how, error
     assert other.__notes__ == [told]
     doing = "letting go" if command == "release" else "opening"
     assert told.startswith(f"the fingers {left} while {doing}, at an opening of ")
-    assert ("half held" in told) == (command == "release")
+    assert ("may still touch" in told) == (command == "release")
     assert ("watchdog" in told) == (left != "stopped")
     if left != "stopped":
         cell.gripper.keep_grip()

@@ -292,7 +292,7 @@ def positioner(*axes: dict[str, Any], **more: Any) -> dict[str, Any]:
     return {"positioner": {"kind": "axes", "axes": list(axes)} | more}
 
 
-X, TURNED, ONLY = X_AXIS, ROTATION_AXIS, "list positioner.axes if positioner.kind is axes, and only"
+X, TURNED, ONLY = X_AXIS, ROTATION_AXIS, "positioner.kind axes needs positioner.axes; other"
 ON_CAN1 = {"interface": "socketcan", "channel": "can1"}
 ASKED = {"sequence.poses": [{"y_mm": 1.0}]}
 

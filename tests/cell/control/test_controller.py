@@ -164,7 +164,9 @@ def test_forces_that_are_not_allowed_and_what_is_no_plan_are_refused_before_anyt
 def test_cancelling_keeps_the_grip_until_it_is_released(bench, phase, after_s, least_n) -> None:
     bench.ready()
     bench.once_in(phase, bench.life.cancel, after_s)
-    left = "the grip is kept" if phase is RAMPING else r"stopped while closing, .* may be touched"
+    left = (
+        "the grip is kept" if phase is RAMPING else r"stopped while closing, .* may touch the pads"
+    )
     with pytest.raises(CellStopped, match=f"{left} until it is released on purpose"):
         bench.grasp(6.0)
     assert bench.life.state is CellState.HELD
@@ -197,7 +199,9 @@ def test_a_release_can_be_stopped_too(bench: Any, again: str) -> None:
     if again == "release_held":
         bench.controller.shutdown()
     bench.once_in(RELEASING, bench.life.cancel, 0.03)
-    with pytest.raises(CellStopped, match=r"letting go, at an opening .* may be half held until"):
+    with pytest.raises(
+        CellStopped, match=r"letting go, at an opening .* may still touch the pads until"
+    ):
         getattr(bench.controller, again)()
     assert bench.life.holding
     assert bench.life.state.value == ("HELD" if again == "release" else "STOPPED")

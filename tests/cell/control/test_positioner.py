@@ -211,7 +211,7 @@ def test_the_axes_carry_and_bring_parts_and_refuse_poses_out_of_reach(bench: Any
     bench.controller.moves.carry_to(there)
     assert true_pose(bench)["x_m"] == pytest.approx(5e-3, abs=NEAR_M)
     assert bench.grip_n == pytest.approx(held, abs=0.3)
-    with pytest.raises(PositionerError, match="the place bin of ball has no pose"):
+    with pytest.raises(PositionerError, match="no pose for bin, the place of ball"):
         bench.controller.moves.carry_to(Destination(label="ball", place="bin"))
     with pytest.raises(PositionerError, match=r"its limits are -6.00 mm"):
         bench.controller.moves.carry_to(Destination(label="ball", place="far", pose=Pose(x_m=0.1)))

@@ -187,7 +187,7 @@ def test_few_grasps_objects_and_series_and_drawings_are_said_to_need_more() -> N
         "(now ball 6)",
         "4 objects (now 2)",
         "drawn objects (pin)",
-        "one in six of similar untaught",
+        "about 1 of 6 similar untaught",
     ):
         assert part in note
     (note,) = teaching_notes([grasp(one, i) for one in ("a", "b", "c", "d") for i in range(10)])

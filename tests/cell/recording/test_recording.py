@@ -293,7 +293,7 @@ def test_a_full_disk_leaves_what_was_whole_before(room, background, tmp_path, mo
     recorder.close()
     assert path.stat().st_size == recorder._sink._length  # no half record
     if room <= 100:
-        with pytest.raises(RecordingError, match=r"has no description|not an MCAP file"):
+        with pytest.raises(RecordingError, match=r"metadata are missing|not an MCAP file"):
             read_recording(path)
         return
     recording = read_recording(path)
@@ -489,7 +489,7 @@ def frame_json(**changed: str) -> bytes:
 
 @pytest.mark.parametrize(
     ("metadata", "says"),
-    [(None, "has no description"), (GOOD | {"pads": "[" * 100_000}, "does not fit")],
+    [(None, "metadata are missing"), (GOOD | {"pads": "[" * 100_000}, "does not fit")],
 )
 def test_other_files_are_refused_before_a_message_is_read(
     metadata: dict[str, str] | None, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -500,7 +500,7 @@ def test_other_files_are_refused_before_a_message_is_read(
         (foreign(tmp_path / "f.mcap", metadata=metadata), says),
         ("none", "check the path"),
         (".", "plain file"),
-        ("text", "not a recording: it has no description"),
+        ("text", "not a recording of this program: its metadata"),
     ):
         with pytest.raises(RecordingError, match=why):
             read_recording(tmp_path / name)
@@ -969,7 +969,11 @@ DAMAGE: list[tuple[str, Callable[[Any], Any], str]] = [
     ("taxel_xy_mm", lambda a: a * 1e-3, r"the 6 taxels of pad 0 over 0\.013, .* in mm, not in m"),
     ("taxel_xy_mm", lambda a: a * 1e3, "-6500 at 0, must be from -1000 to 1000: places of .* mm"),
     ("aperture_mm", lambda a: a + np.inf, "is inf at 0, must be from"),
-    ("aperture_mm", lambda a: a * 1e-3, r"never exceeds 0\.03, expected 0\.2 .* in mm, not in m"),
+    (
+        "aperture_mm",
+        lambda a: a * 1e-3,
+        r"largest aperture_mm is 0\.03, expected 0\.2 .* in mm, not in m",
+    ),
     ("aperture_mm", lambda a: -10.0 * a, "aperture_mm is -300 at 0, must be from -100 to 1000"),
     ("t_s", np.negative, "never fall"),
     ("t_s", lambda a: a + 1, "start at 0"),
@@ -1018,7 +1022,7 @@ VALUE = npy(b"{'descr': '<u2', 'fortran_order': False, 'shape': (1,), }") + byte
         ({"a.npy": b"PK\5\6" + bytes(18)}, "array a: the magic string is not correct"),
         ({"a.npy": npy(b" " * 20_000)}, "array a: Header"),
         ({"counts.npy": LIE}, "array counts: (Unable to allocate|EOF)"),
-        ({"a": VALUE, "a.npy": VALUE}, "1 arrays found, 2 stated"),
+        ({"a": VALUE, "a.npy": VALUE}, "its directory counts 2 arrays, 1 are there"),
         ({"a": VALUE + b"x"}, r"array a: shape \(1,\) does not fit"),
         (
             {f"a{i}.npy": bytes(5_000_000) for i in range(4)},

@@ -89,7 +89,7 @@ def test_fingers_of_high_friction_get_the_current_to_start(make_cell) -> None:
 def test_what_lies_between_the_fingers_at_a_stop_in_the_test_is_kept(make_started) -> None:
     cell = make_started(watchdog_self_test=True, width_m=0.0152)
     cell.clock.on_advance.append(lambda _: cell.force_n > 0.5 and cell.gripper.request_stop())
-    with pytest.raises(GraspStopped, match="a part may be touched"):
+    with pytest.raises(GraspStopped, match="a part may touch the pads"):
         cell.gripper.open(0.02)
     assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
 

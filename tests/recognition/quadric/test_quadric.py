@@ -178,7 +178,7 @@ def test_fit_does_not_depend_on_the_order_and_follows_motion_in_the_plane(seed):
     ("xy", "message"),
     [
         (np.zeros((6, 2)), "6 points, a height field needs at least 7"),
-        (np.ones((9, 2)), "have one position"),
+        (np.ones((9, 2)), "lie at one place"),
         (_grid()[:14], "14 points do not determine .* two rows"),
         (np.c_[np.arange(9.0), np.arange(9.0)], "condition"),
     ],
