@@ -1,6 +1,10 @@
-"""From a config to a cell."""
+"""From a config to a cell: its devices, and what packages of others bring, under guard."""
 
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from math import nan
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 from unittest.mock import Mock
 
@@ -8,33 +12,53 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from cell import plugins
 from cell.build import Cell, build_cell
-from cell.config.file import changed_config, load_config
+from cell.config.file import changed_config, config_text, load_config, parse_config, schema_text
+from cell.config.gripper import use_servo_models
 from cell.config.model import CellConfig
-from cell.config.tactile import TactileConfig, link_settings
+from cell.config.tactile import TactileConfig, layout_from_config, link_settings
 from cell.control.plan import Pose
 from cell.control.positioner import CallbackPositioner, OperatorPositioner, SimulatedPositioner
 from cell.control.states import CellState
 from cell.errors import CellError, ConfigError, PositionerError
+from cell.files import PROGRAM
 from cell.hand.connections import HandConnections
 from cell.hand.local import sensor_settings
 from cell.interfaces.cli.app import app
+from cell.plugins import GROUPS, RECOGNIZERS, SENSORS, SERVO_MODELS
 from cell.runtime import simulate
+from cell.sensors.guard import GuardedSource
 from cell.simulation import InProcessPlacer, simulator_settings
-from gripper.errors import PortLost
+from gripper.dynamixel import models
+from gripper.errors import LimitExceeded, PortLost
+from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from pytest_tactile_cell.configs import simulated_config
+from recognition.recognizers import RECOGNIZERS as BUILT_IN
 from simulator.cell import SimulatedCell
 from simulator.servo.gearing import data_sheet_drive
 from simulator.settings import SimulatorSettings
-from tactile.errors import BusNotOpened, TactileError
+from tactile.errors import BusNotOpened, FrameTimeout, LinkStateError, PluginFault, TactileError
+from tactile.layout import inner_pads, pinch_layout
 from tactile.sensor.settings import SensorSettings
-from tests import ROOT
-from tests.cell.cells import quick_config, small_config
+from tactile.source import (
+    Arrivals,
+    ForceMessage,
+    ForceStatus,
+    FrameStatistics,
+    PadZero,
+    SourceIdentity,
+    SourceStatistics,
+    TactileFrame,
+)
+from tests import ROOT, blocks
+from tests.cell.cells import call, quick_config, small_config
 from tests.cell.commissioning.test_doctor import REAL
 from tests.faults.campaign import CHANGES, X_AXIS
 from tests.fuzz.harness import Clock
+from tests.values import raising
 
 RACK = {"kind": "rack_pinion", "pinion_radius_mm": 8.0, "offset_mm": 10.0}
 SLOW_RACK = {"gripper__linkage": RACK, "gripper__approach_speed_mm_s": 5.0}
@@ -417,3 +441,358 @@ def test_ends_of_somebody_else_are_not_closed(openers) -> None:
     lines.close()
     for close in (stream.close, bus.shutdown, servos.return_value.close):
         close.assert_not_called()
+
+
+# -- Plugins: what is built in, packages of others, names that clash, and modules that do not load -
+
+
+Install = Callable[..., None]
+MODULE = '''
+from dataclasses import replace
+from typing import Literal
+from cell.config.sensor import SensorConfig
+from gripper.dynamixel.models import XL330_M288
+
+class Glove(SensorConfig):
+    """A glove."""
+    kind: Literal["glove"]
+    fingers: int = 5
+
+SERVO = replace(XL330_M288, name="XL330-M077", number=1190)
+SAME = replace(XL330_M288, kt_nm_a=1.0)
+'''
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
+    """Return what installs a package whose module is MODULE."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    known = dict(models._MODELS)
+
+    def add(name: str = "some-plugins", **entries: dict[str, str]) -> None:
+        module = name.replace("-", "_")
+        (tmp_path / f"{module}.py").write_text(MODULE)
+        info = tmp_path / f"{module}-1.0.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0.0\n")
+        lines = [
+            line
+            for group, points in entries.items()
+            for line in (
+                f"[tactile_cell.{group}]",
+                *(f"{key} = {module}:{one}" for key, one in points.items()),
+            )
+        ]
+        (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
+        plugins._entries.cache_clear()
+
+    yield add
+    plugins._entries.cache_clear()
+    models._MODELS.clear()
+    models._MODELS.update(known)
+
+
+def test_what_is_built_in_loads_and_no_table_beside_has_other_names() -> None:
+    for group in GROUPS:
+        examined = list(group.examine())
+        assert examined
+        for one in examined:
+            assert (one.problem, one.package) == ("", PROGRAM)
+            assert group.built_in(one.name)
+    assert set(SERVO_MODELS) == set(models.MODELS)
+    assert {name: RECOGNIZERS.entry(name).value for name in RECOGNIZERS} == BUILT_IN
+
+
+def test_a_sensor_of_another_package_has_a_section_of_its_own(installed: Install) -> None:
+    installed(sensors={"glove": "Glove"})
+    text = "tactile:\n  sensor: {kind: glove, fingers: 4}\ngripper: {port: /dev/a}\n"
+    config = parse_config(text + "positioner: {kind: operator}\n", source="cell.yaml")
+    assert config.tactile.sensor.model_dump() == {"kind": "glove", "fingers": 4}
+    assert parse_config(config_text(config), source="again") == config
+    assert "fingers" in schema_text()
+    with pytest.raises(ConfigError, match=r"cell.yaml:2:25: tactile.sensor.finger: .*mean fingers"):
+        parse_config(text.replace("fingers", "finger"), source="cell.yaml")
+    with pytest.raises(
+        ConfigError, match=r"sensor glove cannot be simulated: set real ports in tactile\.sensor"
+    ):
+        config.tactile.sensor.simulated()
+
+
+def test_an_unknown_kind_lists_what_is_installed_and_the_next_step() -> None:
+    wanted = r"no sensor 'glove' is installed; installed are control_unit, flexitac, uskin. Install"
+    with pytest.raises(ConfigError, match=wanted + ".*`tactile-cell doctor --plugins`"):
+        changed_config(CellConfig(), {"tactile.sensor": {"kind": "glove"}})
+    with pytest.raises(
+        ConfigError, match="no servo model 'XM' is installed; installed are RH-P12-RN"
+    ):
+        changed_config(CellConfig(), {"gripper.servos": [{"id": 1, "model": "XM"}]})
+    with pytest.raises(ConfigError, match="a section with kind, one of control_unit, flexitac"):
+        changed_config(CellConfig(), {"tactile.sensor": {}})
+
+
+def test_a_name_of_two_packages_is_refused(installed: Install) -> None:
+    installed(sensors={"uskin": "Glove"})
+    with pytest.raises(ConfigError, match=r"'uskin' is in .*some-plugins 1.0.0.*: uninstall one"):
+        changed_config(CellConfig(), {"tactile.sensor": {"kind": "uskin"}})
+    assert "uskin" not in SENSORS.usable()
+
+
+@pytest.mark.parametrize(
+    ("entry", "problem"),
+    [
+        ("Missing", "AttributeError"),
+        ("SERVO", "TypeError: some_plugins:SERVO is not a SensorConfig"),
+    ],
+)
+def test_doctor_names_what_does_not_load(installed: Install, entry: str, problem: str) -> None:
+    installed(sensors={"broken": entry}, recognizers={"fine": "Glove"})
+    with pytest.raises(CellError, match=r"1 of \d+ plugins do not load"):
+        call("doctor", "--plugins")
+    (one,) = (plugin for plugin in SENSORS.examine() if plugin.problem)
+    assert (one.name, one.package) == ("broken", "some-plugins 1.0.0")
+    assert problem in one.problem
+    # What does not load is in the way of nothing else.
+    assert "fine" in RECOGNIZERS
+    assert CellConfig().tactile.sensor.kind == "control_unit"
+    with pytest.raises(ConfigError, match=r"broken' of some-plugins 1.0.0 does not load: "):
+        changed_config(CellConfig(), {"tactile.sensor": {"kind": "broken"}})
+
+
+def test_doctor_lists_each_plugin_with_its_package(installed: Install) -> None:
+    installed(sensors={"glove": "Glove"})
+    lines = [line.split() for line in call("doctor", "--plugins").splitlines()]
+    assert ["sensors", "glove", "some-plugins", "1.0.0", "loads"] in lines
+    assert ["sensors", "uskin", *PROGRAM.split(), "loads"] in lines
+    assert len(lines) == sum(len(list(group)) for group in GROUPS)
+
+
+def test_a_servo_of_another_package_is_known_to_the_gripper(installed: Install) -> None:
+    installed(servo_models={"XL330-M077": "SERVO", "XL330-again": "SAME"})
+    servos = [{"id": n, "model": "XL330-M077"} for n in (1, 2)]
+    changes = {"servos": servos, "current_max_a": 1.0}
+    config = changed_config(CellConfig().gripper, changes)
+    assert config.servos[0].model == "XL330-M077"
+    assert models.model_name(1190) == "XL330-M077"
+    with pytest.raises(LimitExceeded, match="XL330-M288 with number 1200 exists with other"):
+        use_servo_models(["XL330-again"])
+
+
+# -- The template package of docs/how-to/add.md; `.ci/wheel-test` types what that page prints ------
+
+
+def test_the_layout_on_the_page_has_the_pads_of_the_sensor() -> None:
+    (block,) = (
+        one for one in blocks("how-to/add.md", "yaml") if one.startswith("tactile:\n  layout:")
+    )
+    layout = layout_from_config(parse_config(block, source="page").tactile)
+    assert layout.name == "dfrobot_6x6"
+    assert layout == inner_pads("dfrobot_6x6", 6, 6, 3e-3, adc_max=4095)
+
+
+# -- Sensors of a cell: the guard of a source that another package brings, and the age of samples --
+
+
+LAYOUT = pinch_layout()
+N = LAYOUT.n_taxels
+START_S, NOW_S = 10.0, 20.0
+ZERO = PadZero(offset_counts=np.zeros(N), touch_counts=3.0, bad=np.zeros(N, dtype=bool))
+FRAME = TactileFrame(
+    t_s=15.0, begun_s=14.98, counter=1, status=0, counts=np.ones(N, dtype=np.uint16)
+)
+FORCE = ForceMessage(
+    t_s=15.0, counter=1, status=ForceStatus.ZEROED, force_n=(1.0, 1.1), centre_taxels=(0.0, 0.5)
+)
+
+
+@pytest.fixture
+def source() -> Mock:
+    """A frame source whose methods do what the test wants."""
+    return Mock(
+        layout=LAYOUT,
+        sends_forces=True,
+        statistics=SourceStatistics(frames=FrameStatistics(complete=7)),
+        start=Mock(return_value=SourceIdentity(name="fake")),
+        poll=Mock(return_value=Arrivals((FRAME,), (FORCE,))),
+    )
+
+
+@pytest.fixture
+def clock() -> Clock:
+    clock = Clock()
+    clock.now_s = START_S
+    return clock
+
+
+@pytest.fixture
+def guard(source: Mock, clock: Clock) -> GuardedSource:
+    """The guard of a source that has started."""
+    guard = guarded(lambda: source, clock)
+    assert guard.start().name == "fake"
+    clock.now_s = NOW_S
+    return guard
+
+
+def guarded(make: Callable[[], Any], clock: Clock) -> GuardedSource:
+    return GuardedSource(make, name="sensor fake of fake 1.0", layout=LAYOUT, clock=clock)
+
+
+def frames(*times_s: float) -> Arrivals:
+    return Arrivals(tuple(replace(FRAME, t_s=t_s, begun_s=None) for t_s in times_s))
+
+
+def test_sound_values_come_through(guard: GuardedSource, source: Mock) -> None:
+    arrivals = guard.poll()
+    assert arrivals == Arrivals((FRAME,), (FORCE,))
+    assert not arrivals.frames[0].counts.flags.writeable
+    assert guard.sends_forces
+    assert guard.statistics.frames.complete == 7
+    source.poll = lambda: frames(15.1, 15.1, 15.2)
+    assert len(guard.poll().frames) == 3
+    source.poll = Arrivals
+    assert guard.poll() == Arrivals()
+    guard.set_zero(ZERO)
+    source.set_zero.assert_called_once_with(ZERO)
+
+
+def changed(**values: Any) -> Arrivals:
+    return Arrivals((replace(FRAME, **values),))
+
+
+def force(**values: Any) -> Arrivals:
+    return Arrivals((), (replace(FORCE, **values),))
+
+
+WIDE = np.full(N, 4096, dtype=np.uint16)
+
+
+@pytest.mark.parametrize(
+    ("then", "named"),
+    [
+        (lambda: 1 / 0, "ZeroDivisionError: division by zero. Update that package, or"),
+        (lambda: exec("raise SystemExit(3)"), "SystemExit: 3"),
+        (lambda: changed(counts=np.ones(3, np.uint16)), r"counts is uint16 \(3,\), must be uint16"),
+        (lambda: changed(counts=np.ones(N)), r"counts is float64 \(156,\), must be uint16 \(156,"),
+        (lambda: changed(counts=WIDE), "largest of counts is 4096, must be a number from 0 to 409"),
+        (lambda: changed(extra=np.ones((3, 2), np.uint16)), r"extra is uint16 \(3, 2\), must be"),
+        (lambda: changed(extra=np.ones(N, np.uint16).reshape(N, 1, 1)), r"extra is .* \(156, 1\)"),
+        (lambda: changed(t_s=nan), "t_s of a frame is nan, must be a number from 10.0 to 20.0"),
+        (lambda: changed(t_s=9.9), "t_s of a frame is 9.9, must be a number from 10.0 to 20.0"),
+        (lambda: frames(15.2, 15.1), "t_s of a frame is 15.1, must be a number from 15.2 to 20.0"),
+        (lambda: changed(begun_s=15.1), "begun_s is 15.1, must be a number from 14.0 to 15.0"),
+        (lambda: changed(counter=65536), "counter of a frame is 65536, must be a number from 0 to"),
+        (lambda: changed(status=None), "status of a frame is None, must"),
+        (lambda: force(counter=16), "counter of a force message is 16, must be a number from 0 to"),
+        (lambda: changed(counter=1.0), "counter of a frame is 1.0, must"),
+        (lambda: force(status="x"), "status of a force message is 'x', must"),
+        (lambda: force(centre_taxels=("a", 0.0)), "a value of a force message is 'a', must"),
+        (lambda: force(force_n=(1.0, nan)), "a value of a force message is nan, must"),
+        (lambda: force(force_n=(1e300, 1.0)), "a value of a force message is 1e.300, must"),
+    ],
+)  # fmt: skip
+def test_what_it_must_not_do_is_a_fault_of_each_call_until_the_next_start(
+    guard: GuardedSource, source: Mock, clock: Clock, then: Any, named: str
+) -> None:
+    sound, source.poll = source.poll, then
+    with pytest.raises(PluginFault, match=f"the code of sensor fake of fake 1.0 failed: .*{named}"):
+        guard.poll()
+    source.poll = sound
+    for use in (guard.poll, lambda: guard.set_zero(ZERO)):
+        with pytest.raises(PluginFault, match=named):
+            use()
+    source.set_zero.assert_not_called()
+    clock.now_s = START_S
+    guard.start()
+    clock.now_s = NOW_S
+    assert guard.poll().frames
+
+
+def test_a_time_that_does_not_advance_is_a_fault(guard: GuardedSource) -> None:
+    assert guard.poll().frames
+    with pytest.raises(
+        PluginFault, match=r"t_s of a frame is 15.0, must be a number from 15\.0+2 "
+    ):
+        guard.poll()
+
+
+def test_a_force_message_older_than_the_last_is_a_fault(guard: GuardedSource, source: Mock) -> None:
+    source.poll = lambda: force(t_s=15.0)
+    assert guard.poll().forces
+    assert guard.poll().forces
+    source.poll = lambda: force(t_s=14.9)
+    with pytest.raises(PluginFault, match=r"t_s of a force message is 14\.9, must"):
+        guard.poll()
+
+
+@pytest.mark.parametrize(
+    "statistics", [None, SourceStatistics(frames=FrameStatistics(), recent_loss_rate=nan)]
+)
+def test_wrong_statistics_are_a_fault(guard: GuardedSource, source: Mock, statistics: Any) -> None:
+    source.statistics = statistics
+    with pytest.raises(PluginFault, match="recent_loss_rate"):
+        guard.poll()
+    assert guard.statistics.recent_loss_rate == 0.0
+
+
+def test_its_own_faults_stay_what_they_are(guard: GuardedSource, source: Mock) -> None:
+    source.poll = raising(LinkStateError("start it first"))
+    with pytest.raises(LinkStateError):
+        guard.poll()
+    source.poll = raising(FrameTimeout("silent"))
+    for _ in range(2):
+        with pytest.raises(FrameTimeout, match="silent"):
+            guard.poll()
+        source.poll = Arrivals
+
+
+def test_creation_and_start_are_guarded(guard: GuardedSource, source: Mock, clock: Clock) -> None:
+    with pytest.raises(PluginFault, match="ZeroDivisionError"):
+        guarded(lambda: 1 / 0, clock)
+    source.start = lambda: None
+    with pytest.raises(PluginFault, match="start returned None, must be a SourceIdentity"):
+        guard.start()
+
+
+def test_a_stop_that_fails_hinders_no_clean_up(guard: GuardedSource, source: Mock) -> None:
+    source.stop = Mock(side_effect=ZeroDivisionError)
+    guard.stop()
+    guard.start()
+    assert source.stop.call_count == 2
+
+
+# -- Age of force samples of frames and of messages, by the true force of the simulated world ------
+
+
+CONFIGS = Path(__file__).parents[2] / "config"
+WITHIN_S = 0.003
+"""A ramp of 20 N/s changes the force by 0.06 N in this time. With FlexiTac frames that were 4 ms
+older than their time one part in five got no name."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["flexitac", "papers-ramp"])
+def test_a_sample_is_as_old_as_it_says(make_bench, name: str) -> None:
+    config = load_config(CONFIGS / f"{name}.yaml").model_copy(update={"self_zero": "on_demand"})
+    bench = make_bench(config)
+    clock, world, hand = bench.simulated.clock, bench.simulated.world, bench.controller.hand
+    true, samples = list[tuple[float, float]](), dict[float, float]()
+    clock.on_advance.append(lambda now_s: true.append((now_s, fmean(world.contact_force_n()))))
+
+    def see(cycle, _frames) -> None:
+        if cycle.setpoint_n > 0.0 and cycle.force is not None:
+            samples[cycle.force.measured_s] = cycle.force.grip_n
+
+    bench.controller.start()
+    for _ in range(3):
+        bench.simulated.place("ball")
+        hand.grasp(ForceRamp.linear(6.0, 20.0), see)
+        hand.release(see)
+    t_s, force_n = np.array(true).T
+    measured_s, measured_n = np.array(sorted(samples.items())).T
+    ages_s = np.arange(-0.012, 0.0125, 0.0005)
+
+    def misfit(age_s: float) -> float:
+        expected_n = np.interp(measured_s - age_s, t_s, force_n)
+        return float(np.polyfit(expected_n, measured_n, 1, full=True)[1][0])
+
+    age_s = min(ages_s, key=misfit)
+    assert abs(age_s) <= WITHIN_S

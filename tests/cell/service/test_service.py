@@ -324,13 +324,8 @@ def part(label: str = "ball", seconds: float = 4.0, **fields: Any) -> Part:
 def test_parts_rejects_misses_and_faults_are_counted_apart() -> None:
     clock = Wall()
     shift = Shift(n_faults=lambda: 2, wall_clock=clock)
-    fresh = shift.values()
-    assert (fresh["parts"], fresh["cycle_s"], fresh["counts"], fresh["answers"]) == (
-        0,
-        None,
-        {},
-        [],
-    )
+    fresh = {"parts": 0, "cycle_s": None, "counts": {}, "answers": []}
+    assert shift.values().items() >= fresh.items()
     for label, fields in (
         ("ball", {"seconds": 3.0, "place": "left"}),
         ("box", {"seconds": 5.0, "place": "right"}),
