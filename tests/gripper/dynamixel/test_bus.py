@@ -4,6 +4,7 @@ import threading
 from typing import Any
 
 import pytest
+from dynamixel_sdk import COMM_PORT_BUSY, Protocol2PacketHandler
 
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
@@ -14,6 +15,8 @@ from gripper.dynamixel.control_table import (
     PRESENT_POSITION,
     RegisterBlock,
 )
+from gripper.dynamixel.protocol2 import CheckedPacketHandler, Instruction
+from gripper.dynamixel.serial_port import SdkPort
 from gripper.errors import BusBusy, BusCorrupt, BusTimeout, LimitExceeded, PortLost, ServoRejected
 from simulator.cell import SimulatedCell
 from simulator.servo.protocol2 import crc16
@@ -296,3 +299,18 @@ def test_factory_new_servos_share_an_id_and_are_found_to() -> None:
     assert bus.shares_id(1)
     cell.devices.servo_bus.servos[0].registers.put("status_return_level", 0)
     assert not bus.shares_id(1)
+
+
+def test_the_sdk_itself_sends_the_stuffed_write_wrongly_and_ours_rightly(script, clock) -> None:
+    data = list((-131073).to_bytes(4, "little", signed=True))
+    script.expect("fffffd00010900037400fffffdffcb05").expect("fffffd00010a00037400fffffdfdff23e5")
+    for handler in (Protocol2PacketHandler(), CheckedPacketHandler()):
+        handler.writeTxOnly(SdkPort(script, clock), 1, 116, 4, data)
+
+
+def test_a_port_in_use_is_busy(script, clock) -> None:
+    port = SdkPort(script, clock)
+    port.is_using = True
+    assert CheckedPacketHandler().txPacket(port, [0] * 10) == COMM_PORT_BUSY
+    with pytest.raises(BusBusy):
+        CheckedPacketHandler().send(port, 1, Instruction.PING, b"")

@@ -1,17 +1,28 @@
-"""The watch of a part alone: its doubt, and the measurements that end it."""
+"""The watch of a part, the confirmation that nothing is held, pads that report a wrong force."""
 
 from dataclasses import replace
 
 import pytest
 
 from benchmarks.performance.force_ramps import NOISE_N, PARTS, Rig
-from gripper.errors import GripContradicted
+from gripper.errors import (
+    ForceAboveCap,
+    ForceImbalance,
+    ForceSensorStale,
+    GripContradicted,
+    LimitExceeded,
+)
 from gripper.force.estimates.grip import Grip
+from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp
+from gripper.force.supervision.empty_grip import EmptyGrip
 from gripper.force.supervision.part_watch import PartWatch
+from gripper.mechanics.transmission import Mechanics
+from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
-from tests.gripper.force.grips import PERIOD_S, STATE, make_grip, make_period
+from gripper.values.state import GripperPhase
+from tests.gripper.force.grips import LINKAGE, PERIOD_S, STATE, make_grip, make_period
 from tests.marks import LONG
 
 
@@ -230,3 +241,139 @@ def test_a_part_is_not_lost_because_the_loop_stalls(make_started, stalls_s) -> N
     assert cell.gripper.grasp(RAMP, stall).result is GraspResult.FORCE_REACHED
     cell.gripper.hold(1.5, stall)
     assert cell.force_n == pytest.approx(4.0, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("in_s", "final_n", "rate_hz"),
+    [(0.0, 0.7, None), (0.0, 4.0, 500.0), (2.0, 0.7, 500.0), (2.0, 4.0, None)],
+    ids=["ramp", "ramp, messages", "hold, messages", "hold"],
+)
+def test_pads_whose_zero_jumps_on_a_part_do_not_let_it_go(
+    make_started, in_s, final_n, rate_hz
+) -> None:
+    """The fingers stand and press as before: it is no force that there is too much of."""
+    # A slow touch adds no force, which would have to fall first.
+    cell = make_started(rate_hz=rate_hz, approach_speed_m_s=0.008)
+    held_n: list[float] = []
+
+    def jump() -> None:
+        cell.sensor.offset_n, cell.least_n = 4.0, cell.force_n
+        held_n.append(cell.force_n)
+
+    observe = cell.once(jump, at_n=0.1, in_s=in_s)
+    with pytest.raises(LimitExceeded, match=r"their zero has jumped, or .* the grip kept"):
+        cell.gripper.grasp(ForceRamp.linear(final_n, rate_n_s=20.0, hold_s=1.5), observe)
+    cell.clock.sleep(1.0)
+    assert cell.least_n > 0.8 * held_n[0] > 0.3
+
+
+@pytest.mark.parametrize("rate_hz", [None, 500.0])
+def test_a_force_that_jumps_above_the_cap_is_told_as_that(make_cell, rate_hz) -> None:
+    """It may be less above the cap than noise alone may be: the jump shows that it is none."""
+    cell = make_cell(rate_hz=rate_hz, noise_n=0.05, force_max_n=7.0, force_noise_n=2.0)
+    cell.hold_part(RAMP)
+    cell.sensor.offset_n = 4.0
+    with pytest.raises(ForceAboveCap, match="force_max_n is 7"):
+        cell.gripper.hold(1.5)
+
+
+@pytest.mark.parametrize("rate_hz", [None, 500.0])
+@pytest.mark.parametrize("in_s", [0.0, 0.4], ids=["before the approach", "in the approach"])
+def test_fingers_that_pads_send_through_the_air_stop_before_they_hit_the_part(
+    make_started, in_s, rate_hz
+) -> None:
+    """A zero that jumps shows a contact where there is none, and nothing resists the ramp."""
+    cell = make_started(width_m=0.008, aperture_m=0.03, force_max_n=15.0, rate_hz=rate_hz)
+    jump = cell.once(lambda: setattr(cell.sensor, "offset_n", 7.0), in_s=in_s)
+    with pytest.raises(GripContradicted, match="ended without a part"):
+        cell.gripper.grasp(ForceRamp.linear(13.6, rate_n_s=20.0, hold_s=0.3), jump)
+    cell.clock.sleep(1.0)
+    assert cell.peak_n == 0.0
+    assert cell.mechanics.aperture_m > 0.012
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("loop_rate_hz", "stiffness_n_m", "at_n", "valid"),
+    [(100.0, 5e4, 5.3, True), (200.0, 3e3, 13.0, False), (100.0, 1e4, 13.4, False)],
+)
+def test_pads_that_report_too_little_let_no_force_above_the_cap(
+    make_started, loop_rate_hz, stiffness_n_m, at_n, valid
+) -> None:
+    """Only the current bounds the force then, and inertia adds to what it makes."""
+    cell = make_started(
+        width_m=0.03,
+        stiffness_n_m=stiffness_n_m,
+        aperture_m=0.034,
+        aperture_open_m=0.036,
+        force_max_n=15.0,
+        loop_rate_hz=loop_rate_hz,
+    )
+
+    def fail() -> None:
+        cell.sensor.gain, cell.sensor.valid = 0.4, valid
+
+    with pytest.raises(LimitExceeded if valid else ForceSensorStale):
+        cell.gripper.grasp(
+            ForceRamp.linear(13.6, rate_n_s=20.0, hold_s=0.5), cell.once(fail, at_n=at_n)
+        )
+    assert 12.0 < cell.peak_n < 15.1
+
+
+def test_closed_fingers_that_feel_a_little_name_a_small_part(make_started) -> None:
+    cell = make_started(width_m=0.0014, stiffness_n_m=2000.0, noise_n=0.02, aperture_m=0.01)
+    with pytest.raises(GripContradicted, match="part is too small to be held, or the pads press"):
+        cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=20.0))
+    assert cell.torques == [1, 1]
+
+
+def test_a_finger_that_pushes_alone_freezes_both(cell) -> None:
+    cell.hold_part(RAMP)
+    measure, begun_s = cell.sensor.measure, cell.clock.monotonic()
+    cell.sensor.measure = lambda now_s, force_n: measure(now_s, (force_n[0], 0.2))
+    with pytest.raises(ForceImbalance, match="both are frozen"):
+        cell.gripper.hold(2.0)
+    assert cell.clock.monotonic() - begun_s < 0.5
+    assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
+    assert cell.force_n > 3.0
+
+
+LAG_S, FRAME_S = 0.02, 0.02
+MECHANICS = Mechanics(GripperSettings(), LINKAGE)
+"""0.6 N are a contact, so 0.3 N on both pads are a load."""
+
+
+def periods(*samples_n: float, frame_n: float | None = 0.0) -> list[bool]:
+    """Return whether each period confirmed an empty grip, with a sample in each; all 0 N later."""
+    empty = EmptyGrip(MECHANICS, STATE, stiffness_n_m=None, approached=True, ran=True)
+    done: list[bool] = []
+    for i in range(1, 20):
+        t_s = STATE.t_s + PERIOD_S * i
+        force_n = samples_n[i - 1] if i <= len(samples_n) else 0.0
+        scanned_s = STATE.t_s + FRAME_S * (i // 4) - LAG_S
+        frame = {} if frame_n is None else {"frame_s": scanned_s, "frame_n": (frame_n, frame_n)}
+        sample = ForceSample(t_s=t_s, force_n=(force_n, force_n), lag_s=LAG_S, **frame)
+        done.append(empty.step(Moment(now_s=t_s, dt_s=PERIOD_S, state=STATE, sample=sample)).done)
+    return done
+
+
+def test_three_frames_after_the_stop_confirm_that_nothing_is_held() -> None:
+    assert periods().index(True) == 15, "80 ms after the stop"
+    assert periods(frame_n=None).index(True) == 0, "a sensor whose samples come from frames"
+
+
+def test_a_load_measured_before_the_stop_is_waited_for() -> None:
+    assert periods(2.0, 2.0, 2.0, frame_n=None).index(True) == 3
+
+
+@pytest.mark.parametrize(
+    ("samples_n", "frame_n", "says"),
+    [
+        ((0.0,) * 19, 0.5, r"samples show 0\.00 and 0\.00 N, the frames 0\.50 and 0\.50 N, more"),
+        ((0.5,) * 19, 0.0, r"samples show 0\.50 and 0\.50 N, the frames 0\.00 and 0\.00 N, more"),
+        ((0.5,) * 19, None, r"samples show 0\.50 and 0\.50 N, more than 0\.30 N on both pads"),
+    ],
+)
+def test_a_load_on_both_pads_contradicts_an_empty_grip(samples_n, frame_n, says) -> None:
+    with pytest.raises(GripContradicted, match=says):
+        periods(*samples_n, frame_n=frame_n)
