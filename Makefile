@@ -10,8 +10,6 @@ PYTEST_ARGS ?=
 # Byte code is kept between runs: to compile all tests again takes seconds.
 PYTEST = env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest
 TESTS = $(PYTEST) -n auto --dist worksteal $(PYTEST_ARGS)
-# Processor time of all tests of a change in s, and 10 %, on a slow machine; more fails the run.
-TEST_BUDGET_S := 430
 
 .PHONY: run serve quick test test-long test-real-time coverage mutants wheel-test check format docs docs-pages pictures bench paper campaign soak vcan clients help clean distclean
 
@@ -25,7 +23,7 @@ quick: $(DEV)  ## the tests that take less than 0.3 s each, without whole cells:
 	$(TESTS) -m "not real_time and not long and not slow"
 
 test: $(DEV)  ## the tests of each change: minutes, on any machine
-	$(TESTS) -m "not real_time and not long" --processor-budget=$(TEST_BUDGET_S)
+	$(TESTS) -m "not real_time and not long"
 
 test-long: $(DEV)  ## the long tests: each row of the campaign, studies, the paper; PYTEST_ARGS=--days=14 runs the slice of today
 	$(TESTS) -m "long and not real_time"

@@ -1,9 +1,8 @@
-"""The processor time of tests: its limit for one test, its budget for a run, and its list.
+"""The processor time of tests: its limit for one test, and its list.
 
 A pytest plugin, loaded by the root's conftest. It measures processor time, not wall time, so a busy
-machine fails no test. A slower processor gets more: each limit is multiplied by the time of a
-reference loop over its time on the processor for which the limits were set. The loop is repeated
-during a run, because a processor with other work is slower.
+machine fails no test. A slower processor gets more: the limit is multiplied by the time of a
+reference loop over its time on the processor for which the limit was set.
 """
 
 import os
@@ -18,12 +17,10 @@ TEST_LIMIT_S = 1.0
 EXEMPT = ("slow", "long", "real_time")
 """Markers of tests that may take longer."""
 REFERENCE_LOOP_S = 0.010
-"""Processor time of `loop_s` on the processor for which the limits were set, in s."""
+"""Processor time of `loop_s` on the processor for which the limit was set, in s."""
 USUAL_LOAD = 1.5
 """Load of each processor by the tests alone: a worker on each, and the processes that it starts."""
-LOOP_EVERY = 50
-"""Tests of a process from one reference loop to the next."""
-_TOOK, _LOOP = "processor_s", "reference_loop_s"
+_TOOK = "processor_s"
 
 
 def loop_s() -> float:
@@ -36,7 +33,7 @@ def loop_s() -> float:
     return min(times_s)
 
 
-def slowness(loops_s: list[float]) -> float:
+def slowness(reference_s: float) -> float:
     """Return how much slower this processor is than the reference; at least 1.
 
     Programs that wait for a processor push each other out of its caches. The short loop does not
@@ -44,7 +41,7 @@ def slowness(loops_s: list[float]) -> float:
     """
     waiting = max(os.getloadavg()[:2]) / (os.cpu_count() or 1)
     crowded = min(2.0, max(1.0, waiting / USUAL_LOAD))
-    return crowded * max(1.0, sum(loops_s) / len(loops_s) / REFERENCE_LOOP_S)
+    return crowded * max(1.0, reference_s / REFERENCE_LOOP_S)
 
 
 def _used_s() -> float:
@@ -53,14 +50,11 @@ def _used_s() -> float:
 
 
 class ProcessorTime:
-    """Measures each test, fails one above the limit, and compares the sum with the budget."""
+    """Measures each test, and fails one above the limit."""
 
-    def __init__(self, budget_s: float | None, list_path: str | None) -> None:
-        self._budget_s = budget_s
+    def __init__(self, list_path: str | None) -> None:
         self._list_path = list_path
         self._start_s = 0.0
-        self._n_measured = 0
-        self._loops_s: list[float] = []
         self._tests: dict[str, float] = {}
 
     @pytest.hookimpl(wrapper=True)
@@ -77,7 +71,7 @@ class ProcessorTime:
         own_s = _used_s() - start_s
         exempt = any(item.get_closest_marker(name) for name in EXEMPT)
         if own_s > TEST_LIMIT_S and not exempt:
-            limit_s = TEST_LIMIT_S * slowness([loop_s()])
+            limit_s = TEST_LIMIT_S * slowness(loop_s())
             if own_s > limit_s:
                 pytest.fail(
                     f"it took {own_s:.2f} s of processor, the limit is {limit_s:.2f} s; simulate "
@@ -93,50 +87,27 @@ class ProcessorTime:
             return (yield)
         finally:
             item.user_properties.append((_TOOK, _used_s() - self._start_s))
-            if self._n_measured % LOOP_EVERY == 0:
-                item.user_properties.append((_LOOP, loop_s()))
-            self._n_measured += 1
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Collect the times, also from workers of xdist."""
         if report.when == "teardown":
-            values = dict(report.user_properties)
-            self._tests[report.nodeid] = float(values[_TOOK])
-            if _LOOP in values:
-                self._loops_s.append(float(values[_LOOP]))
+            self._tests[report.nodeid] = float(dict(report.user_properties)[_TOOK])
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Write the list; fail a run above its budget."""
-        if hasattr(session.config, "workerinput"):
-            return
-        if self._list_path is not None:
+        """Write the list."""
+        if self._list_path is not None and not hasattr(session.config, "workerinput"):
             lines = [f"{took_s:.3f} {name}" for name, took_s in self._tests.items()]
             Path(self._list_path).write_text("\n".join(lines) + "\n", encoding="utf-8")
-        limit_s = self._limit_s()
-        if limit_s is not None and sum(self._tests.values()) > limit_s:
-            session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        """Print the sum, with the budget where there is one."""
-        total_s, limit_s = sum(self._tests.values()), self._limit_s()
-        text = f"{total_s:.0f} s of processor in {len(self._tests)} tests"
-        if limit_s is not None:
-            text += f", {'ABOVE ' if total_s > limit_s else ''}the budget of {limit_s:.0f} s"
-        terminalreporter.write_line(text)
-
-    def _limit_s(self) -> float | None:
-        """Return the budget on this processor, in s; None without a budget or a test."""
-        if self._budget_s is None or not self._loops_s:
-            return None
-        return self._budget_s * slowness(self._loops_s)
+        """Print the sum."""
+        total_s = sum(self._tests.values())
+        terminalreporter.write_line(f"{total_s:.0f} s of processor in {len(self._tests)} tests")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the options for the budget of a run, and for the list."""
-    parser.addoption(
-        "--processor-budget", type=float, metavar="S", help="fail a run that takes more in all"
-    )
+    """Add the option for the list."""
     parser.addoption(
         "--processor-times", metavar="FILE", help="write the processor time of each test"
     )
@@ -144,6 +115,5 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Load the plugin, in each worker too."""
-    options = ("--processor-budget", "--processor-times")
-    plugin = ProcessorTime(*(config.getoption(one) for one in options))
+    plugin = ProcessorTime(config.getoption("--processor-times"))
     config.pluginmanager.register(plugin, "processor_time")
