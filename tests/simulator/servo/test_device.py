@@ -31,7 +31,6 @@ def test_factory_values(model):
     ("address", "size", "value", "error"),
     [
         (690, 1, 0, ACCESS),
-        (65000, 2, 0, ACCESS),
         (117, 1, 0, LENGTH),
         (102, 2, -1193, 0),
         (102, 2, -1194, LIMIT),

@@ -1,6 +1,7 @@
 """The examples of the Protocol 2.0 manual as whole conversations: bytes to a servo, bytes back.
 
-`dxl2`, a client written by others, computes the instruction packets a second time.
+`dxl2`, a client written by others, computes the instruction packets a second time, and the checksum
+of a stuffed answer.
 """
 
 import pytest
@@ -91,3 +92,4 @@ def test_bytes_that_are_stuffed_both_ways() -> None:
         talk.registers[1].put(f"present_{name}", value)
     answer = talk.exchange(dxl2.InstructionPacket(1, 0x02, dxl2.Params([126, 0, 10, 0])).raw)
     assert answer == wire("FFFFFD00 01 0F00 55 00 FFFFFDFDFFFFFF00080000 49F0")
+    assert dxl2.StatusPacket(list(answer)).valid
