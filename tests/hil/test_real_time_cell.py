@@ -143,11 +143,12 @@ def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_
     cell_process, tmp_path
 ) -> None:
     """The two lines one after the other: each is enough for what it carries."""
-    new_cell = cell_process(parse_config(CONFIG + SEQUENCE, source="test"))
+    held = SEQUENCE.replace("max_grasps: 1", "max_grasps: 1, ramp: {hold_s: 3.0}")
+    new_cell = cell_process(parse_config(CONFIG + held, source="test"))
     first(new_cell.pid)
     config = ("--config", new_cell.config_path)
     release = f"tactile-cell hand release --config {new_cell.config_path} --confirm"
-    unplugged = new_cell.inject("can.unplugged@contact+0.3s")
+    unplugged = new_cell.inject("can.unplugged@contact+1.0s")
     files = ("-o", tmp_path / "d.npz", "--out", tmp_path / "out")
     said = run("teach", "box", "-n", 50, *files, *config, code=1)
     assert release in said
