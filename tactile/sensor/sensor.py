@@ -386,7 +386,7 @@ class TactileSensor:
             reason=reason,
         )
         if reading.ok and self.has_forces:
-            self._compare(reading, counts, all_n, noise_n)
+            self._compare(reading, counts, scan_n, all_n, noise_n)
         return reading
 
     def _taxel_noise_n(self, counts: Values, all_n: Values) -> Values:
@@ -399,10 +399,14 @@ class TactileSensor:
         return noise_n
 
     def _compare(
-        self, reading: TactileReading, counts: Values, all_n: Values, noise_n: Values
+        self,
+        reading: TactileReading,
+        counts: Values,
+        scan_n: Values,
+        all_n: Values,
+        noise_n: Values,
     ) -> None:
-        active = reading.active
-        variance_n2 = max(self.layout.on_fingers(active * noise_n**2))
+        variance_n2 = max(self.layout.on_fingers(reading.active * noise_n**2))
         variance_n2 = max(variance_n2, *(_LEAST_TOUCHED * self._grip_noise_n2))
         # A finger without a taxel above the source's threshold may show nothing in the messages.
         mean = self._hood.weighted(counts) / _BINOMIAL
@@ -412,7 +416,7 @@ class TactileSensor:
             reading.frame.scanned_s,
             (shown[0] * first_n, shown[1] * second_n),
             sqrt(_EDGE * variance_n2),
-            centre_taxels=self._centres.of(np.where(active, all_n, 0.0)),
+            centre_taxels=self._centres.of(scan_n),
             centre_noise_taxels=reading.centre_noise_taxels,
             whole_n=self.layout.on_fingers(all_n),
         )
