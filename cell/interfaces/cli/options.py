@@ -122,6 +122,14 @@ Objects = Annotated[
 ]
 
 
+def taught_grasps(purpose: str) -> typer.models.OptionInfo:
+    """Return the option for the number of taught grasps of each object; ``purpose``: its help."""
+    option: typer.models.OptionInfo = typer.Option(
+        "--teach", min=3, max=1000, metavar="N", help=purpose
+    )
+    return option
+
+
 def known_recognizers(names: list[str] | None) -> list[str] | None:
     """Return the names of recognizers. Raises typer.BadParameter for an unknown name."""
     for name in names or ():

@@ -33,14 +33,7 @@ def run(
     config: options.Config = None,
     objects: ObjectsOption = None,
     teach_grasps: Annotated[
-        int,
-        typer.Option(
-            "--teach",
-            min=3,
-            max=1000,
-            metavar="N",
-            help="Number of grasps to teach for each object.",
-        ),
+        int, options.taught_grasps("Number of grasps to teach for each object.")
     ] = 20,
     trials: Annotated[
         int,

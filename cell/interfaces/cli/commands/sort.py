@@ -25,12 +25,8 @@ def sort(
     ] = 20,
     teach_grasps: Annotated[
         int,
-        typer.Option(
-            "--teach",
-            min=3,
-            max=1000,
-            metavar="N",
-            help="Without a model: number of grasps to teach for each simulated object.",
+        options.taught_grasps(
+            "Without a model: number of grasps to teach for each simulated object."
         ),
     ] = 20,
     model: options.FolderModel = None,
