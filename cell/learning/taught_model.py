@@ -25,7 +25,10 @@ from recognition.drift.drift import Drift, DriftFollowing, DriftGrid, drift_text
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
-from recognition.shape.answer import ShapeAnswer
+from recognition.shape.answer import ShapeAnswer, fuse_shapes
+
+_N_SHAPES = 3
+"""Newest grasps of an object whose fused shape is shown: one of eight may have another kind."""
 
 
 class TaughtModel:
@@ -211,7 +214,7 @@ class TaughtModel:
     # -- taught objects ------------------------------------------------------------------------
 
     def objects(self) -> dict[str, tuple[int, ShapeAnswer | None]]:
-        """Return the taught objects with their number of grasps, and the shape of the newest one.
+        """Return the taught objects with their number of grasps, and the shape of the newest three.
 
         Only available grasps count. No shape is known before `read_shapes`.
         """
@@ -232,7 +235,9 @@ class TaughtModel:
     def read_shapes(self) -> None:
         """Read the missing shapes of `objects`: some tenths of a second for each."""
         for label, grasp in self._unread.items():
-            self._shapes[label] = grasp, self.shape_of(grasp)
+            newest = [one for one in self.training_set if one.label == label][-_N_SHAPES:]
+            shapes = [shape for one in newest if (shape := self.shape_of(one))]
+            self._shapes[label] = grasp, fuse_shapes(shapes) if shapes else None
             self._n_read += 1
 
     def shape_of(self, grasp: Grasp) -> ShapeAnswer | None:

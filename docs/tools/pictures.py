@@ -114,6 +114,7 @@ def draw_page() -> None:
                     "n => document.querySelectorAll('#strip button').length > n", arg=number
                 )
             page.get_by_text("Part held").first.wait_for()
+            page.locator("#days .count").first.get_by_text(str(_NAMED_BEFORE + 1)).wait_for()
             shot = DOCS / "images" / "page.png"
             page.screenshot(path=shot)
             Image.open(shot).convert("RGB").quantize(256).save(shot, optimize=True)

@@ -223,7 +223,7 @@ def model(taught: Any) -> TaughtModel:
     return TaughtModel.load(taught.config, taught.result.model)
 
 
-def test_objects_have_their_grasps_and_the_size_of_the_newest(model) -> None:
+def test_objects_have_their_grasps_and_the_size_of_the_newest_three(model) -> None:
     assert model.objects()["ball"] == (5, None)  # who asks does not wait
     assert not model.shapes_read
     model.read_shapes()
@@ -231,7 +231,7 @@ def test_objects_have_their_grasps_and_the_size_of_the_newest(model) -> None:
     objects = model.objects()
     assert {label: n for label, (n, _) in objects.items()} == {"ball": 5, "box": 5}
     shape = objects["ball"][1]
-    assert 1e3 * shape.size_m == pytest.approx(9.5, abs=1.5)
+    assert (shape.n_grasps, 1e3 * shape.size_m) == (3, pytest.approx(9.5, abs=1.5))
     revision = model.revision
     model.read_shapes()
     assert (model.objects()["ball"][1] is shape, model.revision) == (True, revision)  # read once
