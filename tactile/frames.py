@@ -258,11 +258,15 @@ ForceLaw = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Forces in N of tared counts, (..., n_taxels) both: `Calibration.force_n` of the sensor."""
 
 
-def force_table(layout: TaxelLayout, law: ForceLaw) -> bytes:
-    """Return object 0x2141, the table of counts to force of both gripping pads."""
+def force_table(layout: TaxelLayout, law: ForceLaw, *, exchanged: bool = False) -> bytes:
+    """Return object 0x2141, the table of counts to force of both gripping pads.
+
+    ``exchanged``: each of them has the place of the other one in the unit.
+    """
     counts = np.linspace(0.0, layout.adc_max, TABLE_NODES)
     force_n = law(np.repeat(counts[:, np.newaxis], layout.n_taxels, axis=1))
-    table_n = np.stack([force_n[:, taxels].mean(axis=1) for taxels in layout.gripping_taxels])
+    places = layout.gripping_taxels[::-1] if exchanged else layout.gripping_taxels
+    table_n = np.stack([force_n[:, taxels].mean(axis=1) for taxels in places])
     if not np.isfinite(table_n).all():
         raise FrameError("the calibration has forces that are not finite: correct it")
     return _with_crc(np.clip(np.rint(table_n / TABLE_N), 0, 0xFFFF))

@@ -61,7 +61,6 @@ class ControlUnitConfig(SensorConfig):
     def open_source(self, tactile: TactileConfig, lines: SensorLines) -> FrameSource:
         """Return the link to the unit; raises BusNotOpened where there is no bus."""
         from tactile.control_unit.node import TactileLink
-        from tactile.frames import force_table
 
         layout = layout_from_config(tactile)
         return TactileLink(
@@ -69,7 +68,7 @@ class ControlUnitConfig(SensorConfig):
             node_id=tactile.node_id,
             layout=layout,
             settings=link_settings(tactile),
-            force_table=force_table(layout, make_calibration(tactile, layout).force_n),
+            force_law=make_calibration(tactile, layout).force_n,
             reopen=lines.reopen_can,
         )
 

@@ -21,7 +21,7 @@ from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.settings import LinkSettings, NodeIdentity
 from tactile.control_unit.setup import refuse_mismatch, refuse_other_unit, set_up
 from tactile.control_unit.watch import OPERATIONAL, ForceFlow, FrameFlow, NodeWatch
-from tactile.frames import FrameAssembler, FrameFormat, encode_zero
+from tactile.frames import ForceLaw, FrameAssembler, FrameFormat, encode_zero, force_table
 from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.source import (
     Arrivals,
@@ -62,14 +62,17 @@ class Mounting:
         gripping = layout.gripping_pads
         by_pad = {mount.pad: mount for mount in mounts}
         first, second = (by_pad.get(pad, PadMount(pad=pad, sent_as=pad)) for pad in gripping)
-        self._exchanged = (first.sent_as, second.sent_as) == gripping[::-1]
+        self.exchanged = (first.sent_as, second.sent_as) == gripping[::-1]
+        """Whether each gripping pad has the place of the other one."""
         turns = {(one.rows_mirrored, one.columns_mirrored) for one in (first, second)}
         self.unit_can_sum = {first.sent_as, second.sent_as} == set(gripping) and len(turns) == 1
         """Whether the unit's force messages are valid. It sums its own two gripping pads and sends
         one centre for both."""
         self._signs = (-1 if first.rows_mirrored else 1, -1 if first.columns_mirrored else 1)
         own = np.r_[layout.gripping_taxels]
-        self.zero_order = np.searchsorted(own, np.argsort(self.order)[own])
+        place = np.empty(layout.n_taxels, dtype=np.int64)
+        place[own] = np.arange(len(own))
+        self.zero_order = place[np.argsort(self.order)[own]]
         """(n,) int64: for each taxel that the unit sums its place on the layout's gripping pads."""
 
     def force(self, message: ForceMessage) -> ForceMessage:
@@ -79,7 +82,7 @@ class Mounting:
         along, across = self._signs
         return replace(
             message,
-            force_n=(second_n, first_n) if self._exchanged else message.force_n,
+            force_n=(second_n, first_n) if self.exchanged else message.force_n,
             centre_taxels=None if centre is None else (along * centre[0], across * centre[1]),
         )
 
@@ -97,8 +100,8 @@ class TactileLink(LatchingSource):
         An open bus.
     node_id
         CANopen node-ID of the unit, 1 to 127.
-    force_table
-        Object 0x2141, the table for the unit's sum of the force; None: no force messages.
+    force_law
+        Law of the taxels for the unit's sum of the force; None: no force messages.
     reopen
         Opens a lost bus again; without it a lost bus stays lost.
     """
@@ -110,7 +113,7 @@ class TactileLink(LatchingSource):
         node_id: int,
         layout: TaxelLayout,
         settings: LinkSettings | None = None,
-        force_table: bytes | None = None,
+        force_law: ForceLaw | None = None,
         reopen: Callable[[], can.BusABC] | None = None,
     ) -> None:
         super().__init__()
@@ -125,7 +128,9 @@ class TactileLink(LatchingSource):
         self._mounting = Mounting(layout, self.settings.mounts)
         # The unit's sums are valid only for the gripping pads in their mounting.
         sums = self.settings.force_period_s and self._mounting.unit_can_sum
-        self._force_table = force_table if sums else None
+        self._force_table: bytes | None = None
+        if sums and force_law is not None:
+            self._force_table = force_table(layout, force_law, exchanged=self._mounting.exchanged)
         self._reset()
 
     def _reset(self) -> None:

@@ -6,7 +6,6 @@ from contextlib import ExitStack
 from tactile.can.bus import CanBus, close_bus, open_bus
 from tactile.control_unit.node import TactileLink
 from tactile.control_unit.settings import LinkSettings
-from tactile.frames import force_table
 from tactile.layout import TaxelLayout, paper_layout
 from tactile.sensor.calibration import Calibration, FoamCalibration
 from tactile.sensor.sensor import TactileSensor
@@ -69,7 +68,7 @@ def open_sensor(
             node_id=node_id,
             layout=layout,
             settings=link,
-            force_table=force_table(layout, calibration.force_n),
+            force_law=calibration.force_n,
             reopen=reopen,
         )
         sensor = TactileSensor(source, calibration, clock=source.clock, settings=settings)

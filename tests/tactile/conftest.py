@@ -13,6 +13,7 @@ from simulator.cell import SimulatedCell
 from simulator.clock import VirtualClock
 from tactile.control_unit.node import TactileLink
 from tactile.control_unit.settings import LinkSettings
+from tactile.frames import ForceLaw
 from tactile.layout import TaxelLayout, paper_layout
 from tactile.sensor.calibration import Calibration
 from tactile.source import ForceMessage, FrameSource, TactileFrame
@@ -55,7 +56,7 @@ class Bench:
         layout: TaxelLayout,
         *,
         unit: ControlUnitSettings | None = None,
-        table: bytes | None = None,
+        law: ForceLaw | None = None,
         **settings: object,
     ) -> None:
         self.clock = VirtualClock(100.0)
@@ -69,7 +70,7 @@ class Bench:
             node_id=NODE,
             layout=layout,
             settings=LinkSettings(**settings),  # type: ignore[arg-type]
-            force_table=table,
+            force_law=law,
         )
         self.clock.sleep(BOOT_S)
 

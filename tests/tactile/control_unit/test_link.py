@@ -21,6 +21,7 @@ from simulator.can.link import mean_bits
 from simulator.can.scanner import read_zero
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
+from simulator.world.pads import PadPair
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import Mounting, TactileLink
 from tactile.control_unit.search import listen
@@ -538,7 +539,7 @@ ZERO = PadZero(offset_counts=np.zeros(128), touch_counts=4.0, bad=np.zeros(128, 
 @pytest.fixture
 def make_forces(make_bench: Callable[..., Bench]) -> Callable[..., Bench]:
     """Return what makes a bench whose unit sends its force each 3 ms."""
-    return partial(make_bench, table=TABLE, force_period_s=0.003)
+    return partial(make_bench, law=FoamCalibration(255).force_n, force_period_s=0.003)
 
 
 def started(bench: Bench) -> Bench:
@@ -738,14 +739,20 @@ def test_the_unit_cannot_sum_pads_that_are_turned_against_each_other() -> None:
     assert Mounting(PINCH, TURNED).unit_can_sum
     assert not Mounting(PINCH, TURNED[:1]).unit_can_sum
     assert not Mounting(LAYOUT, EXCHANGED).unit_can_sum
+    finger_1_first = replace(PINCH, pads=PINCH.pads[::-1])
+    assert Mounting(finger_1_first, ()).zero_order.tolist() == list(range(156))
 
 
 @pytest.mark.parametrize("mounts", [EXCHANGED, TURNED, TURNED[:1]])
 def test_a_sensor_measures_where_the_finger_is_on_pads_that_sit_otherwise(mounts) -> None:
-    settings = SimulatorSettings(layout=PINCH, mounts=mounts, noise_level=0.2)
+    pads, law = (
+        PadPair(gains=(0.625, 1.0)),
+        FoamCalibration(PINCH.adc_max, np.repeat([1.6, 1.0], 78)),
+    )
+    settings = SimulatorSettings(layout=PINCH, mounts=mounts, noise_level=0.2, pads=pads)
     with SimulatedCell(settings) as cell:
         link = LinkSettings(mounts=mounts)
-        with open_sensor(cell.can_bus, PINCH, link=link) as sensor:
+        with open_sensor(cell.can_bus, PINCH, law, link=link) as sensor:
             sensor.tare(20)
             cell.devices.world.press(0, 12e-3, -5e-3, 2.0)
             for _ in range(20):
