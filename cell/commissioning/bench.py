@@ -100,7 +100,7 @@ class Bench:
         positioner = self.base.positioner
         if positioner.kind == "simulated" and not positioner.socket:
             changes["positioner"] = {"kind": "operator"}
-        return changed_config(self.base, changes | dict(self.settings))
+        return changed_config(self.base, changes | self._found())
 
     def gripper(self, **changes: Any) -> GripperConfig:
         """Return the gripper's section so far, with some keys changed; raises ConfigError."""
@@ -112,9 +112,18 @@ class Bench:
 
     def _section(self, name: str, base: _Section, changes: Mapping[str, Any]) -> _Section:
         values = {
-            k.partition(".")[2]: v for k, v in self.settings.items() if k.startswith(f"{name}.")
+            k.partition(".")[2]: v for k, v in self._found().items() if k.startswith(f"{name}.")
         }
         return changed_config(base, values | dict(changes))
+
+    def _found(self) -> dict[str, Any]:
+        """Return the settings; each servo with its ``measured`` of the base, which no step sets."""
+        measured = {(one.id, one.model): one.measured for one in self.base.gripper.servos}
+        servos = [
+            one | {"measured": measured.get((one["id"], one["model"]), "")}
+            for one in self.settings.get("gripper.servos", ())
+        ]
+        return dict(self.settings) | ({"gripper.servos": servos} if servos else {})
 
     def ports_beside(self, used: str) -> list[str]:
         """Return the serial ports without the one in use."""

@@ -113,7 +113,7 @@ def _lines(section: BaseModel, indent: str, keys: Sequence[str] = ("",)) -> Iter
                 if all(getattr(entry, inner) is None for entry in value):
                     yield from _comment(_meaning(inner_key), f"{indent}    ")
                     yield f"{indent}    # {inner}:"
-        elif value is not None:
+        elif value is not None or key.default is not None:
             yield f"{indent}{name}: {_scalar(value)}"
         else:
             yield f"{indent}# {name}:"

@@ -68,7 +68,7 @@ class RecordingConfig(Section):
     when_lost: Literal["finish", "hold"] = "finish"
     """If the recording cannot be written: finish the grasps without it, or hold (a fault)."""
     keep_gb: float | None = Field(default=100.0, ge=0.1, le=1e6)
-    """Size of all recordings in GB above which the oldest are deleted, 0.1 to 1000000; none: no
+    """Size of all recordings in GB above which the oldest are deleted, 0.1 to 1000000; null: no
     limit. Marked recordings (`tactile-cell recording mark`) stay."""
 
 

@@ -483,12 +483,8 @@ class CellController:
     # -- release -------------------------------------------------------------------------------
 
     def _may_release(self, command: Command) -> None:
-        """Let a release begin, also after a `cancel`, but not once the program ends.
-
-        The first goal of a release lowers the grip, before a stop can end it.
-        """
+        """Let a release begin unless a `cancel` is pending: its first goal lowers the grip."""
         self.life.check(command)
-        self.life.forget_cancel()
         self.life.obey_cancel("before the fingers moved; the grip is kept")
 
     def _release(self, why: str) -> ReleaseReport:

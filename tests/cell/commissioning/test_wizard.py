@@ -45,7 +45,7 @@ from cell.config.model import CellConfig
 from cell.config.tactile import TactileConfig
 from cell.control.zeroing import stored_zeros
 from cell.errors import CellError, ConfigError
-from cell.files import SERVO_BACKUP, write_json
+from cell.files import SERVO_BACKUP, SERVO_BENCH, write_json
 from cell.interfaces.cli.app import app
 from cell.simulation import simulator_settings
 from gripper.errors import GripperError, PortLost
@@ -63,7 +63,7 @@ from tactile.errors import BusNotOpened
 from tactile.layout import PadMount, inner_pads, paper_layout, pinch_layout
 from tactile.sensor.calibration import TableCalibration
 from tactile.sensor.settings import SensorSettings
-from tests.cell.commissioning.conftest import MakeStand, Stand
+from tests.cell.commissioning.conftest import KNOWN, MakeStand, Stand
 from tests.cell.commissioning.hands import Person, Script, SimulatedLines
 from tests.marks import LONG
 from tests.tactile.conftest import counts_of
@@ -133,6 +133,14 @@ def test_wrong_registers_are_shown_then_set_and_read_back(
     rows = [(w.where, w.what, w.before, w.after) for w in stand.person.script.writes]
     assert text in rows
     assert [what for _, what, *_ in rows].count(text[1]) == len(values) - values.count(wanted[0])
+
+
+def test_the_bench_of_a_servo_stays_in_the_config_while_it_is_the_same_servo(tmp_path) -> None:
+    write_json(file := tmp_path / "1.json", SERVO_BENCH, {"model": "XM430-W350"}, error=CellError)
+    servos = [{"id": number, "measured": str(file)} for number in (1, 3)]
+    bench = Bench(tmp_path, base=changed_config(CellConfig(), {"gripper.servos": servos}))
+    bench.settings = dict(KNOWN)
+    assert [servo.measured for servo in bench.gripper().servos] == [str(file), ""]
 
 
 @pytest.mark.parametrize("rate", [1, 3])

@@ -22,7 +22,7 @@ from cell.config.file import changed_config
 from cell.control.part import Part
 from cell.control.plan import Pose
 from cell.control.positioner import Destination
-from cell.control.states import CellState
+from cell.control.states import CellState, Command
 from cell.errors import (
     CellStateError,
     CellStopped,
@@ -214,6 +214,12 @@ def test_a_job_that_is_cancelled_as_soon_as_it_is_accepted_is_cancelled(plugin: 
         if plugin.status().state == "HELD":
             plugin.release(LIMIT_S)
         assert plugin.status().state == "IDLE"
+    done(plugin, GripGoal(present="ball", force_n=3.0))
+    job = plugin.start_command(Command.RELEASE)
+    plugin.cancel(job)
+    with pytest.raises(JobFailed, match="CANCELED"):
+        plugin.result(job, LIMIT_S)
+    assert plugin.status().holding
 
 
 @pytest.fixture
