@@ -218,17 +218,19 @@ def next_state(state: CellState, event: Event) -> CellState:
         raise ValueError(refusal(state, next(asked, event))) from None
 
 
+_OF_HOSTS = {"start": "reset", "release_held": "release", "grasp": "identify, teach, sort"}
+"""Names by which hosts ask for commands that have another name here."""
+
+
 def refusal(state: CellState, asked: Command | Event) -> str:
-    """Return the message that a command is not allowed in a state, and the allowed commands."""
+    """Return the message that a command is not allowed in a state, and those that hosts can ask."""
     allowed = [
-        command.value
+        _OF_HOSTS.get(command.value, command.value)
         for command in Command
         if is_allowed(state, command) and (state, EVENT_OF.get(command)) in TRANSITIONS
     ]
-    return (
-        f"the cell is {state.value}; allowed: {', '.join(allowed) or Command.CANCEL.value}; "
-        f"{asked.value!r} is not allowed"
-    )
+    listed = ", ".join(dict.fromkeys(allowed)) or Command.CANCEL.value
+    return f"the cell is {state.value}; allowed: {listed}; {asked.value!r} is not allowed"
 
 
 def is_allowed(state: CellState, command: Command) -> bool:

@@ -573,16 +573,20 @@ class WebInterface(HttpServer):
     def hold(
         self,
         request: Request,
-        latch: bool | None = None,
-        name: Annotated[str, Query(max_length=60)] = "",
+        latch: Annotated[bool | str | None, Query(union_mode="left_to_right")] = None,
+        name: str = "",
     ) -> dict[str, Any]:
         """Stop the running job and keep the grip; needs no token and no lease.
 
         After ``latch=true`` no motion starts until the same client, by address and name, sends
-        ``latch=false``. A pressed button repeats it within each serve.lease_timeout_s.
+        ``latch=false``. A pressed button repeats it within each serve.lease_timeout_s. Another
+        ``latch`` stops once, and is refused.
         """
         host = "" if request.client is None else request.client.host
-        self._service.stop_as(f"HTTP {host} {name}".rstrip(), latch)
+        who, wrong = f"HTTP {host} {name[:60]}".rstrip(), isinstance(latch, str)
+        self._service.stop_as(who, None if isinstance(latch, str) else latch)
+        if wrong:
+            raise RequestRefused(f"latch is {latch!r:.40}: write true or false; it stopped once")
         return {"state": self._plugin.status().state, "held_by": self._service.held_by}
 
 

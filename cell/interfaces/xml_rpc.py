@@ -342,6 +342,8 @@ def _harmless(call: Callable[..., Any], refuse: Callable[[Exception], int]) -> C
             _check_types(taken, arguments)
             return call(*arguments)
         except Exception as error:
+            if call.__name__ == Calls.hold.__name__:
+                call()  # a wrong argument stops once
             number = refuse(error)
             return _EMPTY.get(returned, float(-number) if returned is float else -number)
 

@@ -260,9 +260,9 @@ class TaughtModel:
 
     # -- drift ---------------------------------------------------------------------------------
 
-    def check_gauge(self, label: str) -> DriftFollowing:
-        """Return the recognizer if it can be gauged with an object; see `gaugeable`."""
-        return gaugeable(self.check_taught(), label)
+    def check_gauge(self, *labels: str) -> DriftFollowing:
+        """Return the recognizer if it can be gauged with these objects; see `gaugeable`."""
+        return gaugeable(self.check_taught(), *labels)
 
     def gauge(self, label: str, grasps: Sequence[Grasp]) -> tuple[Drift, Drift]:
         """Measure the drift since teaching with grasps of a taught object.

@@ -35,7 +35,6 @@ from cell.runtime.goals import (
     IdentifyGoal,
     SortGoal,
     TeachGoal,
-    ZeroGoal,
     checked_goal,
 )
 from cell.runtime.worker import SIGNAL_LOOK_S, CellWorker, Job, JobFailed, JobOutcome, Lease, Report
@@ -84,7 +83,8 @@ class TactileCellPlugin:
     command that the state of the cell does not allow raises CellStateError at once.
 
     ``host_timeout_s`` in the config is the longest time without a call while a job runs. The job is
-    then stopped, with the grip kept. Any call counts, also `alive`; a job keeps its result.
+    then stopped, with the grip kept. Each call about jobs counts, `status` and `alive`; a job
+    keeps its result.
 
     The thread of a plugin that is dropped without `close` closes it, with a ResourceWarning.
     """
@@ -398,8 +398,6 @@ class TactileCellPlugin:
         checked = self._with_part(checked)
         if isinstance(checked, GaugeGoal):
             self.model.check_gauge(checked.label)
-        if isinstance(checked, ZeroGoal):
-            self.cell.controller.zeros.check()
         work = partial(getattr(self._tasks, checked.task), checked)
         if self._simulation is not None and isinstance(checked, TeachGoal | GaugeGoal):
             work = partial(self._simulation.named, checked.label, checked.present, work)
@@ -455,10 +453,14 @@ class TactileCellPlugin:
         """Raise CellStateError or ConfigError if the taught objects do not allow a task."""
         if task == "teach":
             self.model.check_extendable()
+        elif task == "zero":
+            self.cell.controller.zeros.check()
         elif task in (*_NAMING, "gauge"):
             self.model.check_taught()
             if task == "sort":
                 self._tasks.places()
+            elif task == "gauge":
+                self.model.check_gauge()
 
     def _needed(self, command: Command) -> Command:
         """Return the controller's command for a host's command in the present state."""
@@ -509,11 +511,13 @@ class TactileCellPlugin:
 
         Raises RequestRefused if there is no such job, or it is not kept.
         """
-        return self._worker.job(number)
+        with self._lease.calling("the host"):
+            return self._worker.job(number)
 
     def jobs(self) -> tuple[Job, ...]:
         """Return the newest jobs, at most `MOST_JOBS`, oldest first."""
-        return self._worker.jobs()
+        with self._lease.calling("the host"):
+            return self._worker.jobs()
 
     def result(self, job: Job, timeout_s: float) -> Any:
         """Wait for a job and return its result.

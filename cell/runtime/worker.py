@@ -410,6 +410,7 @@ class Lease:
 
         Raises NotInCommand if another client has it.
         """
+        name = str(name).strip()[:60] or "a client without a name"
         with self.lock:
             self._check_expiry()
             if self.number:
@@ -419,7 +420,7 @@ class Lease:
                         f"silent for {self.timeout_s:g} s"
                     )
                 self._end(f"because {name!r} took command")
-            self.number, self.name = 1 + secrets.randbelow(2**31 - 1), name[:60]
+            self.number, self.name = 1 + secrets.randbelow(2**31 - 1), name
             self._heard_s = self.clock.monotonic()
             self.given(self.name)
             return self.number

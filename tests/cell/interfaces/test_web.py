@@ -84,15 +84,18 @@ def test_refusals_have_a_status_and_a_fault_number(served, host) -> None:
         ("/api/jobs", {"lease": lease, "goal": {"task": "\ud800"}}),
     ):
         check_refusal(*host.ask("POST", path, body), status=422)
+    stops: list[str] = []
+    served.service.stop = stops.append
     for way, path, status, remedy in (
         ("GET", "/api/jobs/3", 404, "numbers in GET /api/jobs"),
         ("GET", "/api/grasps/3", 404, "`shift.answers`"),
         ("GET", "/api/nothing", 404, "paths in /openapi.json"),
         ("DELETE", "/api/jobs/3", 405, "methods of each path"),
-        ("POST", "/api/hold?latch=perhaps", 422, "Correct the request."),
+        ("POST", f"/api/hold?latch=perhaps&name={61 * 'x'}", 422, "Correct the request."),
     ):
         check_refusal(*(answer := host.ask(way, path)), status=status)
         assert remedy in answer[1]["remedy"], path
+    assert stops == [f"by HTTP 127.0.0.1 {60 * 'x'}"]
     for more, status, remedy in (
         ({"token": "wrong"}, 401, "Send the token"),
         ({"token": None}, 401, "Send the token"),

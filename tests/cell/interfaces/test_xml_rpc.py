@@ -155,7 +155,8 @@ def test_no_method_raises_whatever_it_is_given(connect) -> None:
     assert cell.identify(1, 1, 1.0, True) == -514
     for wrong in ((1, 1), ("x", 1, 1.0, True), (1, {}, 1.0, True)):
         assert cell.identify(*wrong) == -501
-    assert cell.hold("x") == -501
+    served.service.stop = (stops := []).append
+    assert (cell.hold("x"), stops) == (-501, ["by XML-RPC 127.0.0.1"])
     assert cell.last_refusal().startswith("501: latch is 'x'; write a number")
     assert cell.job_state(7) == -513
     assert (cell.label(7), cell.probability(7)) == ("", -513.0)
