@@ -390,7 +390,8 @@ class WebInterface(HttpServer):
         """Send the state as JSON, with ``?frames=1`` the newest counts too, uint16, little-endian.
 
         ``?frames=newtons``: the force on each taxel in N, float32, little-endian.
-        ``?parts_after=N``: each part with a higher number, once, as ``{"event": "part", ...}``.
+        ``?parts_after=N``: each part with a higher number, once, as ``{"event": "part", ...}``. N
+        counts from the start of the program whose ``boot`` of `info` is given: ``&boot=B``.
 
         The token is a subprotocol ``token.TOKEN`` beside ``tactile-cell``, or ``?token=``. A slow
         client skips messages and gets the newest.
@@ -404,10 +405,12 @@ class WebInterface(HttpServer):
             return
         await link.accept(chosen)
         try:
-            after = link.query_params.get("parts_after", "")
+            after = link.query_params.get("parts_after", "")[:20]
             if after and not after.isdecimal():
                 await link.close(1008, "parts_after is not a part number")
                 return
+            if link.query_params.get("boot", str(self._service.boot)) != str(self._service.boot):
+                after = after and "0"
             frames = link.query_params.get("frames", "")
             await self._feed.send_to(link, frames, int(after) if after else None)
         except (WebSocketDisconnect, TimeoutError, RuntimeError):
@@ -438,10 +441,11 @@ class WebInterface(HttpServer):
         return Response(metrics_text(self._service), media_type=CONTENT_TYPE)
 
     def info(self) -> dict[str, Any]:
-        """Name, mode, version, pads, limits, forces, taught objects, labels by id, places."""
+        """Name, mode, version, boot, pads, limits, forces, taught objects, labels by id, places."""
         return self._plugin.info() | {
             "mode": "cell",
             "version": self._service.version,
+            "boot": self._service.boot,
             "lease_timeout_s": self._service.config.serve.lease_timeout_s,
             "objects": self.taught(),
         }

@@ -375,7 +375,8 @@ class History:
         """Add the faults since the last call."""
         now = self._status()
         with self._counting:
-            before, self._n_faults = self._n_faults, now.n_faults
+            # Another thread may have counted a newer status.
+            before, self._n_faults = self._n_faults, max(self._n_faults, now.n_faults)
         for n in range(now.n_faults - before, 0, -1):
             newest = n == 1 and now.fault is not None
             number = now.fault_number if newest else 0

@@ -248,6 +248,8 @@ def test_each_part_reaches_plc_robot_and_program_once(serve) -> None:
                 written = struct.pack(">16H", *words[first : first + 16])
                 assert written.rstrip(b"\0").decode("ascii") == text
         assert sent == host.get("/api/state")["shift"]["answers"]
+    with host.live(f"&parts_after=2&boot={host.get('/api/info')['boot'] + 1}") as link:
+        assert json.loads(link.recv(LIMIT_S))["part"]["number"] == 1
 
 
 # -- The tables of what hosts read and call, and a pose as URScript has it -------------------------
