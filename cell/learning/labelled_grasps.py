@@ -27,9 +27,8 @@ def name_recorded(source: Path, label: str, dataset: Path, series: str = "") -> 
         raise CellError(
             f"{source}: each of its grasps has a label; use it with `model train` directly"
         )
-    before = dataset_to_extend(dataset, grasps[0].pads)
-    append_to_dataset(dataset, before, [replace(grasp, label=label) for grasp in grasps], series)
-    return len(grasps), len(before)
+    named = [replace(grasp, label=label) for grasp in grasps]
+    return len(grasps), append_to_dataset(dataset, named, series)
 
 
 def read_labelled_grasps(path: Path, note: Callable[[str], None]) -> tuple[Grasp, ...]:
@@ -78,11 +77,12 @@ def dataset_to_extend(path: Path, pads: PadArray) -> tuple[Grasp, ...]:
     return before
 
 
-def append_to_dataset(
-    path: Path, before: Sequence[Grasp], new: Sequence[Grasp], series: str = ""
-) -> None:
-    """Rewrite a data set with further grasps of one series at its end.
+def append_to_dataset(path: Path, new: Sequence[Grasp], series: str = "") -> int:
+    """Rewrite a data set with further grasps of one series at its end; return the number before.
 
-    Raises DatasetError as `write_dataset`; the file does not change.
+    Other commands may have added grasps since it was read last: it is read again. Raises as
+    `dataset_to_extend` and `write_dataset`; the file does not change then.
     """
+    before = dataset_to_extend(path, new[0].pads)
     write_dataset(path, [*before, *(replace(grasp, series=series) for grasp in new)])
+    return len(before)

@@ -135,8 +135,8 @@ def read_grasps(path: Path | str) -> tuple[Grasp, ...]:
 def write_dataset(path: Path | str, grasps: Sequence[Grasp]) -> None:
     """Write grasps as one data set, whole or not at all; an older file stays until then.
 
-    Raises DatasetError if there is no grasp, the pads differ, a text cannot be stored, or the write
-    fails.
+    Raises DatasetError if there is no grasp, the pads differ, a text cannot be stored, it would be
+    too long to be read again, or the write fails.
     """
     path = Path(path)
     if not grasps:
@@ -144,6 +144,11 @@ def write_dataset(path: Path | str, grasps: Sequence[Grasp]) -> None:
     with raised_as(DatasetError, ValueError, where=f"cannot write data set {path}"):
         arrays = _arrays_of(grasps)
         _grasps_of(arrays)
+        if (size := sum(array.nbytes for array in arrays.values())) > DATASET_LIMIT_BYTES:
+            raise ValueError(
+                f"it would unpack to {size} bytes, the limit is {DATASET_LIMIT_BYTES}; write the "
+                "new grasps to another file"
+            )
     write_atomically(
         path, lambda file: savez(file, arrays), error=DatasetError, what="grasp data set"
     )

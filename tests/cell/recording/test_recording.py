@@ -40,6 +40,7 @@ from cell.control.zeroing import SelfZeros
 from cell.errors import CellError, DatasetError, RecordingError
 from cell.files import RECORDING, Format
 from cell.interfaces.cli.app import app
+from cell.learning.labelled_grasps import append_to_dataset
 from cell.learning.model import load_model
 from cell.recording import (
     reader as recording_reader,
@@ -1049,12 +1050,14 @@ def test_files_of_something_else_or_beyond_a_limit_are_refused(content, says, tm
         read_dataset(tmp_path / "x.npz", limit_bytes=10_000_000)
 
 
-def test_what_could_not_be_read_again_is_not_written(tmp_path) -> None:
+def test_what_could_not_be_read_again_is_not_written(tmp_path, monkeypatch) -> None:
     other = replace(GRASP_PADS, adc_max=256)
+    monkeypatch.setattr("cell.recording.dataset.DATASET_LIMIT_BYTES", 9_000)
     for grasps, says in (
         ([], "no grasp"),
         ([make_grasp(), make_grasp(pads=other)], "grasp 1 was taken on other pads"),
         ([make_grasp(label="a\0")], "label is .*not printable"),
+        ([make_grasp()] * 99, "it would unpack to .* bytes, the limit is 9000; .* another file"),
         (
             [make_grasp(), make_grasp(start_ms=2 * 10**15)],
             r"cannot write .* start_ms is 2e\+15 at 1, must be",
@@ -1081,7 +1084,7 @@ def test_full_disk_leaves_the_old_file(number, says, good, tmp_path, monkeypatch
     assert path.read_bytes() == good.read_bytes()
     assert list(tmp_path.iterdir()) == [path]
     write_dataset(path, [make_grasp()])
-    assert len(read_dataset(path)) == 1
+    assert (append_to_dataset(path, [make_grasp()]), len(read_dataset(path))) == (1, 2)
     assert path.stat().st_mode & 0o777 == 0o640
 
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from cell.config.model import CellConfig
-from cell.errors import ConfigError, DatasetError, raised_as
+from cell.errors import CellError, ConfigError, DatasetError, raised_as
 from cell.files import check_text, checked_label
 from cell.interfaces.cli import options
 from cell.interfaces.cli.session import cell_config, pads_of, running_cell
@@ -116,8 +116,8 @@ def _teach_grasps(
         finally:
             if taken := cell.plugin.model.training_set:
                 try:
-                    append_to_dataset(dataset, before, taken, series)
-                except DatasetError as error:
+                    n_before = append_to_dataset(dataset, taken, series)
+                except CellError as error:
                     recording = cell.plugin.recording_path
                     step = f"they are in {recording}: use it with `tactile-cell model train`"
                     if cell.plugin.cell.recording_fault:
@@ -128,7 +128,7 @@ def _teach_grasps(
                 missed = f" ({taught['missed']} found no part)" if taught["missed"] else ""
                 print_line(
                     f"{len(taken)} of {goal.grasps} grasps of {goal.label}{missed} added to "
-                    f"{dataset} ({len(before)} before)"
+                    f"{dataset} ({n_before} before)"
                 )
                 if taught["short"]:
                     print_line(taught["short"])
@@ -159,9 +159,9 @@ def _teach_drawing(
             start_ms=max((grasp.start_ms + 1000 for grasp in before), default=0),
             progress=progress,
         )
-    append_to_dataset(dataset, before, grasps)
+    n_before = append_to_dataset(dataset, grasps)
     lines = [
-        f"{len(grasps)} virtual grasps of {label} added to {dataset} ({len(before)} before)",
+        f"{len(grasps)} virtual grasps of {label} added to {dataset} ({n_before} before)",
         f"noise of the config (simulator.noise_level: {config.simulator.noise_level:g}); if the "
         "sensor has more, taught objects become unknown",
     ]
