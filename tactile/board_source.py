@@ -193,7 +193,9 @@ class PolledBoards(LatchingSource, ABC, Generic[_Board]):
                     raise FrameTimeout(self._absent(absent[0]))
                 self.clock.sleep(_WAIT_SHARE * self.period_s)
                 self._receive()
-        except BaseException:
+        except BaseException as error:
+            if isinstance(error, LinkFault):
+                self.fault = error  # the next start opens a lost line again
             self.stop()
             raise
         self._running = True

@@ -70,8 +70,9 @@ class _Board(Board):
             cycle = xyz_of[:, [2, 0, 1]]
             if self._falling:
                 cycle[:, 0] = FULL_SCALE - cycle[:, 0]
-            self._ends_s.append(t_s)
             self.saw(self._begun_s, t_s, cycle)
+            if not self._repeated:
+                self._ends_s.append(t_s)
             self._xyz.clear()
 
     @property

@@ -126,6 +126,15 @@ def test_a_fault_at_the_start_is_named(cell, source, fault, error, named) -> Non
     cell.inject(fault)
     with pytest.raises(error, match=named):
         source.start()
+    assert isinstance(source.fault, error)
+
+
+def test_a_board_that_soon_repeats_a_cycle_has_no_torn_ones(source) -> None:
+    board = source._boards[0]
+    for n in range(40):
+        for place, identifier in enumerate(board.ids.taxels):
+            board.take(identifier, (1, 2, min(n, 30) + place), 0.01 * n + 1e-4 * place)
+    assert (board.mixed, board.counts.duplicate) == (0, 9)
 
 
 @pytest.mark.slow
