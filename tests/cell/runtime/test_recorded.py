@@ -30,7 +30,7 @@ from cell.runtime.main_job import baseline
 from cell.runtime.tasks import Collection, drawn_object
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift
-from recognition.grasp import DRAWING_SOURCE
+from recognition.grasp import DRAWING_SOURCE, ZERO_COLUMNS, SelfZero
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.recognizers import make_trainer
 from tests.cell.cells import call, plain_grasp, small_config
@@ -132,8 +132,12 @@ def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(taught, tmp
 def test_what_cannot_be_gauged_or_followed_says_why(taught, drifted, tmp_path) -> None:
     command, into = ("model", "calibrate", "-m", taught.result.model), ("-o", tmp_path / "m.npz")
     write_dataset(tmp_path / "few.npz", read_dataset(drifted)[:4])
+    zero = SelfZero(**dict.fromkeys(ZERO_COLUMNS, 0.01))
+    old = [replace(grasp, zero=zero, start_ms=0) for grasp in taught.grasps[:5]]
+    write_dataset(tmp_path / "old.npz", [*old, *taught.grasps[5:]])
     for arguments, error, complaint in (
         ((taught.result.dataset, "--gauge", "ghost"), CellError, "no 'ghost', but 'ball', 'box'"),
+        ((tmp_path / "old.npz", "--gauge", "ball"), CellError, "no 'ball', but 'box'"),
         ((tmp_path / "few.npz",), CellError, "4 grasps are too few for a drift"),
         ((), ConfigError, "--gauge"),
         (("--gauge", "cube"), CellError, "'cube' was not taught: gauge with one of ball, box"),

@@ -123,6 +123,11 @@ def calibrate(
     if dataset is not None:
         loaded = load_model(model)
         recorded = list(read_grasps(dataset))
+        if gauge:
+            newest, n_all = max(recorded, key=lambda one: one.start_ms).zero, len(recorded)
+            recorded = [grasp for grasp in recorded if grasp.zero == newest]
+            if n_left := n_all - len(recorded):
+                print_note(f"{dataset}: {n_left} grasps before the newest self-zero are left out")
         taken = {
             label: _grasps_of(label, recorded, dataset, alone=len(gauge or ()) == 1)
             for label in gauge or ()
