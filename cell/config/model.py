@@ -239,11 +239,22 @@ class CellConfig(Section):
         positioner, can, tactile = self.positioner, self.positioner.can, self.tactile
         positioner.check_sequence(self.sequence)
         shared = (can.interface, can.channel) == (tactile.interface, tactile.channel)
-        lone = tactile.sensor.lone_on_can
-        if lone and shared and positioner.drives and not self.simulated:
+        if not (shared and positioner.drives and tactile.sensor.on_can) or self.simulated:
+            return
+        if lone := tactile.sensor.lone_on_can:
             raise ValueError(
                 f"positioner.can is the bus of tactile: {lone}; give them a bus without "
                 "CANopen nodes"
+            )
+        if can.interface not in ("socketcan", "virtual"):
+            raise ValueError(
+                f"positioner.can is the bus of tactile: only socketcan shares it, this is "
+                f"{can.interface}; give the axes a bus of their own"
+            )
+        if tactile.node_id in [drive.node_id for drive in positioner.drives]:
+            raise ValueError(
+                f"a drive of positioner and the control unit have the node-ID {tactile.node_id} "
+                "on one bus; give one of them another"
             )
 
     def _check_full_scale(self, layout: TaxelLayout, most_n: float) -> None:

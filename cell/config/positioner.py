@@ -74,8 +74,8 @@ class DriveAxisConfig(_Axis):
 
     kind: Literal["cia402"]
     """Device of the axis."""
-    node_id: int = Field(ge=1, le=127)
-    """CANopen node-ID of the drive, 1 to 127."""
+    node_id: int = Field(ge=1, le=126)
+    """CANopen node-ID of the drive, 1 to 126; 127 is that of the host."""
     velocity: float = Field(default=20.0, gt=0.0, le=1000.0)
     """Profile velocity in mm or degrees a second."""
     acceleration: float = Field(default=100.0, gt=0.0, le=10000.0)

@@ -295,6 +295,7 @@ def positioner(*axes: dict[str, Any], **more: Any) -> dict[str, Any]:
 
 X, TURNED, ONLY = X_AXIS, ROTATION_AXIS, "positioner.kind axes needs positioner.axes; other"
 ON_CAN1 = {"interface": "socketcan", "channel": "can1"}
+PCAN = {"interface": "pcan", "channel": "PCAN_USBBUS1"}
 ASKED = {"sequence.poses": [{"y_mm": 1.0}]}
 
 
@@ -326,6 +327,14 @@ ASKED = {"sequence.poses": [{"y_mm": 1.0}]}
         (
             REAL | positioner(TURN, TURN | {"moves": "x", "high": 90.0}),
             "port of the axis roll and port of the axis x are /dev/ttyUSB1",
+        ),
+        (
+            REAL | positioner(X | {"node_id": 5}, TURNED, TURN, can=ON_CAN1 | {"channel": "can0"}),
+            "a drive of positioner and the control unit have the node-ID 5",
+        ),
+        (
+            REAL | positioner(X, TURNED, TURN, can=PCAN) | {f"tactile.{k}": PCAN[k] for k in PCAN},
+            "only socketcan shares it, this is pcan",
         ),
     ],
 )
