@@ -521,7 +521,7 @@ def judge_law(
     notes.values |= {"loads_n": [[*map(list, one)] for one in loads], "factor": factor}
     notes.fact(
         f"{len(both)} loads up to {max(both)[0]:.1f} N: the pads show "
-        f"{(1.0 / factor - 1.0):+.0%} of the scale's force, residual {residual_n:.2f} N."
+        f"{1.0 / factor:.0%} of the scale's force, residual {residual_n:.2f} N."
     )
     bent = any(
         of_finger_n > _RESIDUAL_SHARE * max(one)[0]

@@ -347,6 +347,11 @@ class Service:
             if command is not Command.CLEAR:
                 return self.plugin.start_command(command, reboot=reboot)
             gone = self._gone
+            if reboot and len(gone) < len(self._stops):
+                raise HeldByClient(
+                    f"clear with reboot: {', '.join(self.held_by)} keeps the cell on hold, and a "
+                    "restarted servo drops its part; release the button first"
+                )
             job = self.plugin.start_command(command, reboot=reboot, needless=bool(gone))
             for client in gone:
                 self.end_stop(client)

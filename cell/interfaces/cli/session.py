@@ -218,6 +218,9 @@ def running_cell(
         If the run ends early, or the folder cannot be created.
     """
     folder = job_folder(out_folder or Path(config.recording.directory), job)
+    if json_file is not None:
+        with suppress(OSError):  # the answer of an earlier run
+            json_file.unlink(missing_ok=True)
     plugin = TactileCellPlugin(config, folder=folder, ask=ask, note=print_note, start=False, **cell)
     done = False
     try:
@@ -259,6 +262,7 @@ def running_cell(
                 "fault_number": fault_number(error),
                 "recording": recording,
                 "health": plugin.cell.health(),
+                "progress": plugin.job().progress,
             },
         )
         raise CellError(text) from error

@@ -708,7 +708,7 @@ def test_a_fault_tells_its_number_what_became_of_the_grip_and_where_the_recordin
     options = ("--config", quick, "--out", tmp_path / "out", "--fault", "servos.off@contact+0.3s")
     said = fail("run", *options, "--json", report)
     ended = read_json(report)
-    assert ended["fault_number"] == 102
+    assert (ended["fault_number"], ended["progress"]["label"]) == (102, "ball")
     assert ended["ended_early"].split()[0] in said
     assert "a part may still be gripped" in said
     assert "the grip is kept" not in said

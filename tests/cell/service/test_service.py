@@ -89,6 +89,8 @@ def test_a_hold_outlives_its_client_until_a_person_acts(served, way: str) -> Non
             service.command(lease, Command.CLEAR)  # it stands: no clear lets a pressed button go
     with pytest.raises(HeldByClient, match="reset: other keeps the cell on hold"):
         service.command(lease, Command.RESET)
+    with pytest.raises(HeldByClient, match="a restarted servo drops its part"):
+        service.command(lease, Command.CLEAR, reboot=True)
     service.end_stop(3)
     if way != "clear of a fault":
         service.start(lease, IDENTIFY)
