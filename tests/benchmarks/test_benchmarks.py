@@ -34,7 +34,6 @@ from benchmarks.performance import servo_logs, soak
 from benchmarks.performance.servo_logs import Bench, Log, main, read_logs
 from cell.recording.dataset import write_dataset
 from gripper.dynamixel.models import XL330_M288, XM430_W350
-from recognition.features import PadGrid
 from recognition.quadric.quadric import Reading, find_thresholds, translation
 from simulator.world.shapes import ObjectPose
 from tests import ROOT
@@ -85,13 +84,6 @@ def test_a_short_soak_leaves_no_file_and_no_thread(capsys, monkeypatch) -> None:
 def test_a_leak_is_found_and_one_step_of_the_allocator_is_none(leak, is_leak) -> None:
     samples = [{"done": 20 * i, "objects": 2000 * (i > 9) + 20 * i * leak} for i in range(50)]
     assert len(soak.judge(samples, {"objects": 0.5})) == is_leak
-
-
-def test_the_command_names_what_there_is(monkeypatch) -> None:
-    assert {"identify", "reproduction"} <= set(MODULES)
-    monkeypatch.setattr(sys, "argv", ["benchmarks", "nothing"])
-    with pytest.raises(SystemExit, match=", ".join(MODULES)):
-        command.main()
 
 
 def test_results_that_should_be_equal_end_it_where_they_are_not() -> None:
@@ -265,26 +257,6 @@ METHODS = ("discriminant", "extra_trees", "raw_neighbours")
 def comparators() -> Any:
     """The module, imported only where it is used: scikit-learn takes seconds."""
     return importlib.import_module(MODULES["comparators"])
-
-
-def grid(rows=41, columns=31, pitch=0.5):
-    x, y = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
-    xy = np.column_stack([x.ravel() - (rows - 1) / 2, y.ravel() - (columns - 1) / 2]) * pitch
-    return PadGrid(xy_mm=xy, pitch_mm=np.array([pitch, pitch]), shape=(rows, columns))
-
-
-def test_an_empty_patch_has_finite_features(comparators):
-    assert tuple(comparators.METHODS) == METHODS
-    features = comparators.centred(np.zeros(20), grid(5, 4, 3.0))
-    assert features.tolist() == [0.0] * 20
-
-
-def test_a_moved_patch_has_the_same_features(comparators):
-    patches = np.zeros((2, 9, 7))
-    patches[0, 3:6, 2:5] = patches[1, 4:7, 3:6] = np.arange(9.0).reshape(3, 3)
-    first, moved = (comparators.centred(one.ravel(), grid(9, 7)) for one in patches)
-    assert moved == pytest.approx(first)
-    assert first.max() > 4.0
 
 
 @pytest.mark.slow
