@@ -33,8 +33,9 @@ OPERATORS = (
     *("ReplaceOrWithAnd", "NumberReplacer", "ZeroIterationForLoop"),
 )
 """Operators of cosmic-ray; those that only make a TypeError are left out."""
-_NOT_RUN = (4, 5)
-"""Exit statuses of pytest for names of tests that it does not find."""
+_NOT_FOUND = "ERROR: not found"
+"""Text of pytest for a test that it does not find. With the same exit status ends a mutant that
+breaks an import of all tests."""
 PYTEST = ("-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--timeout=300", "-n", "0")
 
 
@@ -103,7 +104,7 @@ def verdict(mutant: dict[str, Any], tests: list[str], limit_s: float, copy: Path
                 )
             except subprocess.TimeoutExpired:
                 return f"survived {limit_s:.0f} s"
-            if ran.returncode in _NOT_RUN:
+            if _NOT_FOUND in ran.stderr + ran.stdout:
                 raise SystemExit(f"the tests cannot run: {(ran.stderr + ran.stdout)[-500:]}")
             if ran.returncode != 0:
                 # A module that cannot be imported ends pytest with text on the other stream.

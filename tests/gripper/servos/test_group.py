@@ -40,7 +40,9 @@ def test_old_goals_do_not_act_where_the_new_ones_are_lost(tripped, monkeypatch) 
             tripped.gripper.release()
         let_time_pass(tripped)
     assert tripped.peak_n < held_n + 0.1
+    assert all(tripped.drives.of(servo).measured for servo in tripped.settings.servos)
     tripped.gripper.clear_fault()
+    assert not any(tripped.drives.of(servo).measured for servo in tripped.settings.servos)
     tripped.gripper.release()
     assert tripped.mechanics.aperture_m == pytest.approx(0.024, abs=8e-4)
     assert tripped.peak_n < held_n + 0.1
@@ -54,6 +56,15 @@ def test_goals_that_were_lost_once_are_written_again(tripped, monkeypatch) -> No
     assert writes.called
     assert tripped.gripper.phase is GripperPhase.IDLE
     assert tripped.mechanics.aperture_m == pytest.approx(0.024, abs=8e-4)
+
+
+def test_an_answer_lost_between_two_commands_is_asked_for_again(cell, monkeypatch) -> None:
+    read = Mock(wraps=cell.bus.sync_read, side_effect=chain([BusTimeout("lost")], repeat(DEFAULT)))
+    monkeypatch.setattr(cell.bus, "sync_read", read)
+    assert cell.gripper.read_feedback().aperture_m == pytest.approx(
+        cell.mechanics.aperture_m, abs=1e-3
+    )
+    assert read.call_count == 2
 
 
 def test_a_goal_current_that_was_not_taken_is_found(tripped, monkeypatch) -> None:

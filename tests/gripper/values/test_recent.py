@@ -1,8 +1,10 @@
-"""The newest force samples: as many as a decision needs."""
+"""The newest force samples: as many as a decision needs; and what shows that nothing is held."""
 
 import pytest
 
 from gripper.values.force_sensor import ForceSample, RecentForce
+from gripper.values.state import shows_nothing
+from tests.values import make_state
 
 
 def sample(t_s: float, force_n: float = 1.0, noise_n: float = 0.3) -> ForceSample:
@@ -35,3 +37,20 @@ def test_the_same_sample_again_is_none_and_what_it_replaces_is_returned() -> Non
     assert recent.push(sample(0.06)) == [sample(0.0)]
     assert recent.push(sample(0.08, noise_n=0.01)) == [sample(0.02), sample(0.06)]
     assert (recent.oldest, recent.newest) == (sample(0.08, noise_n=0.01),) * 2
+
+
+@pytest.mark.parametrize(
+    ("speed_m_s", "current_n", "pads_n", "nothing"),
+    [
+        (0.0, 0.1, 0.6, True),
+        (0.0, 0.1, 1.2, False),
+        (0.0, 2.0, 0.6, False),  # the pads are blind
+        (0.05, 2.0, 0.6, True),  # the current moves the fingers
+    ],
+)
+def test_a_held_part_shows_on_a_pad_or_in_the_current_at_rest(
+    speed_m_s, current_n, pads_n, nothing
+) -> None:
+    state = make_state(aperture_velocity_m_s=speed_m_s, force_from_current_n=current_n)
+    assert shows_nothing(state, sample(1.0, pads_n - 0.5), 1.0) is nothing
+    assert not shows_nothing(state, None, 1.0)
