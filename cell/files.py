@@ -330,10 +330,13 @@ def check_text(name: str, text: str) -> None:
 def checked_label(label: str) -> str:
     """Return a label that is valid in data sets, models and answers.
 
-    Raises ValueError if it is blank or has space around it, or as `check_text`.
+    Raises ValueError if it is blank, of dots, or has space around it, or as `check_text`.
     """
-    if not label.strip() or label != label.strip():
-        raise ValueError(f"label {label!r:.60} is blank or has space around it; write a name")
+    # In an address . and .. are no names.
+    if not label.strip().strip(".") or label != label.strip():
+        raise ValueError(
+            f"label {label!r:.60} is blank, of dots, or has space around it; write a name"
+        )
     check_text("label", label)
     return label
 

@@ -557,8 +557,10 @@ class Service:
         self.stop("because the service ends")
         self._poses.stop()
         self.lease.close()
-        self.history.close()
-        self.plugin.close(timeout_s)
+        try:
+            self.plugin.close(timeout_s)
+        finally:
+            self.history.close()  # with what ended last
 
     def _count(self, part: Part, identification: Identification | None) -> None:
         self.totals.add(part, identification)

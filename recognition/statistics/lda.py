@@ -285,6 +285,8 @@ def fit_lda(
         offsets = (means - mean) / scale
         _, spread, apart = np.linalg.svd(whiten(offsets), full_matrices=False)
         rank = int(np.sum(spread > _RANK_TOLERANCE * max(float(spread[0]), 1e-300)))
+        if rank == 0:
+            raise ValueError("the objects have the same mean: check their labels")
         projection = whiten(apart[: min(rank, most_axes or rank)]).T
         centres = offsets @ projection
     return LinearDiscriminant(

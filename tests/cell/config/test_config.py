@@ -46,7 +46,6 @@ from tests.faults.campaign import (
 from tests.marks import LONG
 
 CONFIG_FOLDER = Path(__file__).parents[3] / "config"
-KEEPS_ALL = {"recording.keep_gb": None}
 
 
 def test_without_a_file_it_is_the_simulated_cell() -> None:
@@ -59,7 +58,8 @@ def test_without_a_file_it_is_the_simulated_cell() -> None:
     "name", ["two-axes-and-wrist", *map(LONG, ("flexitac", "paper-gripper", "pinch-13x6", "uskin"))]
 )
 def test_an_example_is_written_in_full_with_the_schema_named(name) -> None:
-    config = changed_config(load_config(CONFIG_FOLDER / f"{name}.yaml"), KEEPS_ALL)
+    changes = {"recording.keep_gb": None}
+    config = changed_config(load_config(CONFIG_FOLDER / f"{name}.yaml"), changes)
     text = config_text(config)
     for written in (text, config_text(config, comments=False)):
         assert parse_config(written, source=name) == config

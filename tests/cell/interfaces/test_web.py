@@ -84,8 +84,7 @@ def test_refusals_have_a_status_and_a_fault_number(served, host) -> None:
         ("/api/jobs", {"lease": lease, "goal": {"task": "\ud800"}}),
     ):
         check_refusal(*host.ask("POST", path, body), status=422)
-    stops: list[str] = []
-    served.service.stop = stops.append
+    served.service.stop = (stops := []).append
     for way, path, status, remedy in (
         ("GET", "/api/jobs/3", 404, "numbers in GET /api/jobs"),
         ("GET", "/api/grasps/3", 404, "`shift.answers`"),

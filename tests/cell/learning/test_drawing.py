@@ -206,7 +206,7 @@ def test_wrong_drawings_are_refused(tmp_path, options, message) -> None:
     assert not (tmp_path / "d.npz").exists()
 
 
-@pytest.mark.parametrize("label", ["", " ball", "x" * 201, "a\nb", "\x1b[2J", "\udc80", "UNKNOWN"])
+@pytest.mark.parametrize("label", ["", "..", " a", 201 * "x", "\n", "\x1b[2J", "\udc80", "UNKNOWN"])
 def test_a_label_that_nothing_can_carry_is_refused_before_the_first_grasp(tmp_path, label) -> None:
     path = tmp_path / "d.npz"
     assert "label" in refused("teach", "--shape", BALL, "-n", 1, "-o", path, "--", label)

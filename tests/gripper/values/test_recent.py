@@ -53,4 +53,3 @@ def test_a_held_part_shows_on_a_pad_or_in_the_current_at_rest(
 ) -> None:
     state = make_state(aperture_velocity_m_s=speed_m_s, force_from_current_n=current_n)
     assert shows_nothing(state, sample(1.0, pads_n - 0.5), 1.0) is nothing
-    assert not shows_nothing(state, None, 1.0)

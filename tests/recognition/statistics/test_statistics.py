@@ -108,11 +108,12 @@ def test_what_no_class_has_shown_lies_beside_them_all():
     assert distances(lda, strange) == pytest.approx(distances(lda, x), rel=0.2, abs=3.0)
 
 
-def test_too_few_rows_are_refused():
-    with pytest.raises(ValueError, match="at least three times"):
-        fit_lda(np.eye(3), np.arange(3), 3)
-    with pytest.raises(ValueError, match="at least three times"):
-        fit_lda(np.eye(4), np.array([0, 0, 1, 1]), 3)
+def test_too_few_rows_and_equal_objects_are_refused():
+    for n, classes in ((3, [0, 1, 2]), (4, [0, 0, 1, 1])):
+        with pytest.raises(ValueError, match="at least three times"):
+            fit_lda(np.eye(n), np.array(classes), 3)
+    with pytest.raises(ValueError, match="the same mean"):
+        fit_lda(np.tile(np.eye(3), (2, 1)), np.array([0, 0, 0, 1, 1, 1]), 2)
 
 
 def test_folds_are_runs_in_time_that_leave_each_class_something():
