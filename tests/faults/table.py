@@ -216,7 +216,7 @@ FORCES = (
     *(FaultRow(44, f"blind pads, {variant}", f"taxels.gain=0@contact+{at_s}s", "HOLD", 0.5, 0,
                at_six_newtons, LONG_HOLD | changes)
       for variant, at_s, changes in (
-          ("in the ramp", 0.35, {}),
+          ("early in the ramp", 0.12, {}), ("in the ramp", 0.35, {}),
           ("in the hold", 1.5, {}),
           ("frames alone", 0.35, {"tactile.force_period_ms": 0}))),
 )
