@@ -58,10 +58,10 @@ class StopRule:
         A value is out of its range.
     """
 
-    error_rate: float = 0.01
+    error_rate: float = 0.02
     """Largest probability of a wrong label, given a taught object, that ends a sequence. That of an
     untaught object must be at most `MAX_UNKNOWN`."""
-    max_grasps: int = 5
+    max_grasps: int = 4
     """Number of grasps after which the answer is given: `Posterior.name`."""
 
     def __post_init__(self) -> None:
