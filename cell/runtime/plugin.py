@@ -37,7 +37,8 @@ from cell.runtime.goals import (
     TeachGoal,
     checked_goal,
 )
-from cell.runtime.worker import SIGNAL_LOOK_S, CellWorker, Job, JobFailed, JobOutcome, Lease, Report
+from cell.runtime.lease import Lease
+from cell.runtime.worker import SIGNAL_LOOK_S, CellWorker, Job, JobFailed, JobOutcome, Report
 from gripper.errors import ServoFault
 
 if TYPE_CHECKING:

@@ -28,8 +28,9 @@ from cell.control.states import CellStatus, Command
 from cell.errors import CellError, HeldByClient, RequestRefused
 from cell.fault_catalogue import BY_NUMBER, Refusal, error_text
 from cell.runtime.goals import TASKS, Goal, GripGoal, IdentifyGoal, SortGoal, checked_goal
+from cell.runtime.lease import Lease
 from cell.runtime.plugin import HostStatus, TactileCellPlugin
-from cell.runtime.worker import Job, Lease
+from cell.runtime.worker import Job
 from cell.service.history import History, Shift, Totals, history_file
 from gripper.clock import Clock
 from gripper.errors import GraspStopped
