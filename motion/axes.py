@@ -312,10 +312,6 @@ class Axes:
 
     def stop(self) -> str:
         """Stop all axes at once, wait until they stand, and return the result as text."""
-        moving = list(self._axes.values())
-        for axis in moving:
-            with suppress(MotionError):
-                axis.stop()
         supervise = self._watch.supervise
 
         def undisturbed() -> None:
@@ -324,6 +320,10 @@ class Axes:
                 supervise()
 
         self._watch.supervise = undisturbed
+        moving = list(self._axes.values())
+        for axis in moving:
+            with suppress(MotionError):
+                axis.stop()
         braking_s = max(axis.settings.velocity / axis.settings.acceleration for axis in moving)
         end_s = self._watch.clock.monotonic() + braking_s + _STOP_S
         while moving and self._watch.clock.monotonic() < end_s:

@@ -143,6 +143,7 @@ class ServoAxis(Axis):
         velocity = settings.velocity * per_s / settings.model.velocity_unit_rad_s
         acceleration = settings.acceleration * per_s / settings.model.acceleration_unit_rad_s2
         watchdog_s = _WATCHDOG_FACTOR * settings.loss_s
+        self.rest()  # clears a watchdog that has tripped
         self._write(ct.PROFILE_ACCELERATION, max(1, round(acceleration)))
         self._write(ct.PROFILE_VELOCITY, max(1, round(velocity)))
         self._write(ct.BUS_WATCHDOG, round(watchdog_s / ct.WATCHDOG_UNIT_S))
@@ -171,15 +172,18 @@ class ServoAxis(Axis):
         return self._axis(self._feedback()["present_position"])
 
     def stop(self) -> None:
-        """Stop the servo at its position; with an implausible reading its torque goes off."""
+        """Stop the servo at its position; with an implausible reading its torque goes off.
+
+        The bus watchdog stays armed until the stop is confirmed: else nothing ends the motion.
+        """
         # Other axes wait for their stop meanwhile.
         self._loss_s = 0.0
-        self._write(ct.BUS_WATCHDOG, 0)
         try:
             at = round(self.position * self.settings.increments)
             self._write(ct.GOAL_POSITION, self._raw(at))
         except errors.PositionImplausible:
             self._write(ct.TORQUE_ENABLE, 0)
+        self.rest()
 
     def standing(self) -> bool:
         """Return whether the servo stands still after a stop."""

@@ -153,6 +153,29 @@ def test_a_wrist_whose_host_is_gone_stops_by_itself(bench) -> None:
     bench.move(1.0)
 
 
+@pytest.mark.parametrize(("n_lost", "way_rad"), [(0, 0.06), (4, 0.4)])
+def test_a_wrist_stops_although_the_reason_lasts_or_answers_are_lost(
+    bench, n_lost, way_rad
+) -> None:
+    """With a lost stop its own watchdog ends the motion."""
+    bench.axes._watch._period_s = 1e-4  # due in each transaction
+    began_s: list[float] = []
+
+    def supervise() -> None:
+        if bench.simulated.moving:
+            began_s.append(bench.clock.monotonic())
+        if began_s and bench.clock.monotonic() > began_s[0] + 0.3:
+            bench.simulated.bus.faults.drop_next, began_s[0] = n_lost * (began_s[0] > 0.0), -1.0
+            raise RuntimeError("stop")
+
+    with pytest.raises(RuntimeError, match="stop"):
+        bench.axes.move({"roll": 0.1}, supervise)
+    stopped_rad = bench.simulated.position
+    bench.clock.sleep(3.0)
+    assert abs(bench.simulated.position - stopped_rad) < way_rad
+    bench.move(1.0)
+
+
 def test_a_wrist_is_refused_that_is_another_or_stands_outside(make_wrist) -> None:
     with pytest.raises(AxisFault, match="its limits are 0 to 2048: turn it back by hand"):
         make_wrist(start_rad=4.5).move(1.0)
