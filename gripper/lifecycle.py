@@ -318,7 +318,7 @@ class Lifecycle:
         goals = [goal.lasting for goal in servos.goals.last]
         # Goals that were written may brake.
         asked = [goal.lasting for goal in servos.goals.asked]
-        left, least_n, state = 1.0, inf, servos.read()
+        left, least_n, state = 1.0, inf, servos.read_patiently()
         from_m, opened_s, end_s = inf, -inf, state.t_s + _LONGEST_LOWERING * _LOWERING_S
         while goals and (newest := servos.goals.newest_force) and state.t_s < end_s:
             forces_n = servos.goals.newest_forces_n
@@ -334,7 +334,9 @@ class Lifecycle:
             else:
                 servos.goals.write(standing(asked, state, share), state)
             self._clock.sleep(settings.period_s)
-            before, state = state, servos.read()
+            before = state
+            with suppress(BusTimeout, BusCorrupt):  # the last feedback counts for bus_loss_s
+                state = servos.read()
             if any(map(gt, state.angles_rad, before.angles_rad)):
                 opened_s = state.t_s
             servos.goals.note_force(self._sensor.latest_force())

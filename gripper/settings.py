@@ -194,6 +194,8 @@ class GripperSettings:
         check_number("aperture_pressed_m", self.least_pressed_m, high=self.aperture_min_m)
         for servo in self.servos:
             model = servo.servo_model
+            most_c = model.temperature_limit_c
+            check_number("temperature_max_c", self.temperature_max_c, high=most_c)
             most_a = min(model.stall_current_a, model.winding_a(model.current_limit_raw))
             if self.current_max_a > most_a:
                 raise LimitExceeded(

@@ -102,6 +102,10 @@ class ParallelLinkage(Linkage):
         return self.link_m * cos(angle_rad)
 
 
+_OVERRUN_RAD = 0.6
+"""Angle in rad of a pinion beyond its widest opening: a finger may overrun it. [chosen]"""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RackPinion(Linkage):
     """Straight fingers on racks: half opening = pinion_radius_m * angle + offset_m."""
@@ -120,7 +124,7 @@ class RackPinion(Linkage):
 
     def _angle_rad(self, travel_m: float) -> float:
         angle_rad = travel_m / self.pinion_radius_m
-        if not -0.5 * pi < angle_rad < 1.5 * pi:
+        if not -0.5 * pi < angle_rad < 1.5 * pi - _OVERRUN_RAD:
             raise LimitExceeded(
                 f"an opening of {2.0 * (travel_m + self.offset_m):g} m is out of reach of one turn "
                 f"of a pinion of {self.pinion_radius_m} m with an offset of {self.offset_m} m"

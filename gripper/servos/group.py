@@ -147,6 +147,7 @@ class Servos:
         Where the loop does not go on, nothing watches the heat: no servo keeps more current than it
         bears for hours.
         """
+        self._read_after_stall()
         state, last = self.feedback.last, self.goals.last
         if state is not None and last:
             goals = frozen(last, state)
@@ -166,14 +167,9 @@ class Servos:
         A share of the currents is left. No servo answers the write of all goals: they are read
         back.
         """
-        state = self.feedback.last
-        if state is None or not self.goals.last:
+        if self.feedback.last is None or not self.goals.last:
             return []
-        late = self._clock.monotonic() - state.t_s > _STALE_PERIODS * self._settings.period_s
-        if late and not any(self._bus.misses[servo_id] for servo_id in self._ids):
-            # The loop has stalled, and the fingers have moved since the last reading.
-            with suppress(GripperError):
-                self.read()
+        self._read_after_stall()
         unconfirmed: list[int] = []
         for _ in range(_TRIES):
             try:
@@ -184,6 +180,15 @@ class Servos:
             if not unconfirmed:
                 break
         return unconfirmed
+
+    def _read_after_stall(self) -> None:
+        """Read old feedback again: the fingers have moved, and goals by it are refused."""
+        state = self.feedback.last
+        if state is None or any(self._bus.misses[servo_id] for servo_id in self._ids):
+            return
+        if self._clock.monotonic() - state.t_s > _STALE_PERIODS * self._settings.period_s:
+            with suppress(GripperError):
+                self.read()
 
     # Torque and bus watchdog
 
@@ -268,13 +273,19 @@ class Servos:
         self.goals.forget()
 
     def go_limp(self) -> None:
-        """Switch off the torque of every servo that answers: position or force are unknown."""
+        """Switch off the torque of every servo that answers: position or force are unknown.
+
+        The bus watchdog of the others stays armed.
+        """
         self.goals.forget()
-        for servo_id in self._ids:
-            with suppress(GripperError):
-                self._bus.write(servo_id, TORQUE_ENABLE, 0)
+        unconfirmed = list(self._ids)
+        for servo_id in [*self._ids] * _TRIES:
+            if servo_id in unconfirmed:
+                with suppress(GripperError):
+                    self._bus.write(servo_id, TORQUE_ENABLE, 0)
+                    unconfirmed.remove(servo_id)
         with suppress(GripperError):
-            self.disarm_watchdog()
+            self.disarm_watchdog(but=unconfirmed)
 
     def reboot(self, ids: Sequence[int]) -> None:
         """Reboot servos one after the other and wait until each answers; a held part is dropped.

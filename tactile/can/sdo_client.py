@@ -180,6 +180,8 @@ class PolledSdoClient(SdoClient):
                 advice = _ADVICE.get(error.code >> 16, _UPDATE)
                 raise ObjectRefused(f"{what} was refused ({error}): {advice}") from error
             except (can.CanError, OSError) as error:
+                if isinstance(error, TimeoutError) and not isinstance(error, can.CanError):
+                    raise  # of the supervision during the wait
                 raise interface_failed(error) from error
         silent = isinstance(failure, SdoNotAnswered)
         advice = "check supply, CAN cable and node-ID" if silent else "update the unit's firmware"
