@@ -6,9 +6,10 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
@@ -87,12 +88,16 @@ class TaughtModel:
         """Read a model file, and its training set if there is one.
 
         ``training_set`` is the data set of the grasps that trained it. By default, and with a note
-        instead of a wrong one, it is the file that `save` wrote beside it, if it is still there.
+        instead of a wrong one, it is the file beside it that the model names, if it is unchanged.
         Raises ModelError or DatasetError if a file cannot be read, or does not fit the config.
         """
         model = load_model(path, pad_array(layout_from_config(config.tactile)))
         grasps = _saved_training_set(model) if training_set is None else read_dataset(training_set)
-        if training_set is not None and not _has_trained(model, grasps):
+        own = str(model.training_set.get("file")) == training_set_file(model.path).name
+        if not (_has_trained(model, grasps) or own or training_set is not None):
+            note(f"{model.training_set['file']} is no longer what trained {path}: it is not used")
+            grasps = ()
+        if not _has_trained(model, grasps) and training_set is not None:
             note(f"{training_set} did not train {path}: takes the data set beside it, if there")
             grasps = _saved_training_set(model) or grasps
         return cls(config, model, training_set=grasps)
@@ -341,11 +346,7 @@ class TaughtModel:
             if self._written[0] is not grasps or self._written[1].parent != path.parent:
                 write_dataset(dataset := training_set_file(path), grasps)
                 self._written = (grasps, dataset)
-            training_set = {
-                "file": np.array(self._written[1].name),
-                "sha256": np.array(_checksum(grasps)),
-                "grasps": np.array(len(grasps)),
-            }
+            training_set = training_set_section(self._written[1], grasps)
         if followed and isinstance(recognizer, DriftFollowing):
             recognizer = recognizer.with_grid(recognizer.grid.with_unnamed_as_gauge())
         trained = replace(trained, recognizer=recognizer, training_set=training_set)
@@ -355,6 +356,15 @@ class TaughtModel:
 def training_set_file(model: Path) -> Path:
     """Return the data set that `TaughtModel.save` writes beside a model file."""
     return model.with_name(f"{model.stem}.grasps.npz")
+
+
+def training_set_section(file: Path, grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
+    """Return what a model file has of the data set that trained it, in the same folder."""
+    return {
+        "file": np.array(file.name),
+        "sha256": np.array(_checksum(grasps)),
+        "grasps": np.array(len(grasps)),
+    }
 
 
 def _saved_training_set(model: LoadedModel) -> tuple[Grasp, ...]:

@@ -25,6 +25,7 @@ from cell.interfaces.cli.terminal import percent, print_line, print_note, progre
 from cell.learning.labelled_grasps import duplicate_grasps
 from cell.learning.model import LAST_MODEL, load_model, save_model
 from cell.learning.parallel import workers
+from cell.learning.taught_model import training_set_section
 from cell.learning.teaching_summary import teaching_notes
 from cell.learning.training import calibrate_model, follow_shift, gaugeable, train as train_model
 from cell.recording.dataset import read_grasps
@@ -59,6 +60,9 @@ def train(
     if any(map(is_archive, datasets)):
         trained, prior = with_spread(trained, grasps)
     labels = trained.recognizer.labels
+    file = Path(datasets[0]).absolute()
+    if len(datasets) == 1 and file.parent == model.absolute().parent:
+        trained = replace(trained, training_set=training_set_section(file, grasps))
     save_model(model, trained, grasps[0].pads)
     last = model.with_name(LAST_MODEL)
     write_text(last, f"{model.name}\n", error=CellError, what="name of the last model")

@@ -173,7 +173,7 @@ def serve(
         raise ConfigError(missing_note("serve", "page") or ALL_CLOSED)
     folder = None if out_folder is None else job_folder(out_folder, "serve")
     over = threading.Event()
-    if save is None and training_set is None:
+    if save is None or training_set is not None:
         model = model_of_folder(model)
     untaught = config is None and model is None and training_set is None
     service = open_service(
