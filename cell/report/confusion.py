@@ -66,7 +66,8 @@ class ConfusionTable:
     @property
     def text(self) -> str:
         """The counts as text: right, UNKNOWN and wrong answers."""
-        n_unknown = int(self.counts[:, np.array(self.columns) == UNKNOWN].sum())
+        taught = np.array(self.labels) != UNKNOWN
+        n_unknown = int(self.counts[taught][:, np.array(self.columns) == UNKNOWN].sum())
         unknown = f", {n_unknown} {UNKNOWN}" if n_unknown else ""
         wrong = self.n - self.n_right - n_unknown
         return f"{self.n_right} of {self.n} right{unknown}, {wrong} wrong"
@@ -82,11 +83,11 @@ def score(
     name: str, truths: Sequence[str], answers: Sequence[str], labels: Sequence[str]
 ) -> ConfusionTable:
     """Count answers against the truth; answers that are not a label count as UNKNOWN."""
-    columns = (*labels, UNKNOWN)
+    columns = tuple(dict.fromkeys((*labels, UNKNOWN)))
     counts = np.zeros((len(labels), len(columns)), dtype=np.int64)
     for truth, answer in zip(truths, answers, strict=True):
         if truth in labels:
-            place = columns.index(answer) if answer in columns else len(labels)
+            place = columns.index(answer if answer in columns else UNKNOWN)
             counts[labels.index(truth), place] += 1
     return ConfusionTable(name=name, labels=tuple(labels), columns=columns, counts=counts)
 

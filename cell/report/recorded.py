@@ -72,9 +72,14 @@ class Answered:
         return self.held or self.label
 
     @property
+    def truth(self) -> str:
+        """The right answer: `UNKNOWN` for an object that was never taught; empty if not known."""
+        return self.held if not self.held or self.held in self.fused.labels else UNKNOWN
+
+    @property
     def verdict(self) -> str:
         """Return ``right``, ``unknown``, ``wrong``, or ``named`` where the truth is not known."""
-        if self.label == self.held:
+        if self.label == self.truth:
             return "right"
         return "unknown" if self.label == UNKNOWN else "wrong" if self.held else "named"
 
@@ -265,9 +270,11 @@ def _scores(
         posteriors = {default: one.posteriors[0]} if first else {}
         if compared and baseline is not None:
             posteriors[BASELINE] = baseline.posterior(one.grasps[0])
-        trials.append((one.held, one.label, posteriors))
+        trials.append((one.truth, one.label, posteriors))
     named = {label for truth, label, _ in trials for label in (truth, label)}
-    return score_tables(trials, [label for label in labels if label in named], default)
+    rows = [label for label in labels if label in named and label != UNKNOWN]
+    untaught = [UNKNOWN] if any(truth == UNKNOWN for truth, *_ in trials) else []
+    return score_tables(trials, [*rows, *untaught], default)
 
 
 def drawn_answers(answers: list[Answered]) -> list[Answered]:
@@ -278,7 +285,7 @@ def drawn_answers(answers: list[Answered]) -> list[Answered]:
     drawn = []
     for name in dict.fromkeys(one.name for one in answers):
         named = [one for one in answers if one.name == name]
-        named.sort(key=lambda one: (one.label == one.held, -one.n_grasps))
+        named.sort(key=lambda one: (one.verdict == "right", -one.n_grasps))
         drawn += named[:_SEQUENCES_PER_OBJECT]
     return drawn[:MAX_SEQUENCES]
 
