@@ -24,11 +24,12 @@ def sort(
         typer.Option("--parts", min=1, max=1_000_000, metavar="N", help="Number of parts."),
     ] = 20,
     teach_grasps: Annotated[
-        int,
+        int | None,
         options.taught_grasps(
-            "Without a model: number of grasps to teach for each simulated object."
+            "Teach so many grasps of each simulated object, without the model of this folder "
+            "[default: 20 if there is no model]."
         ),
-    ] = 20,
+    ] = None,
     model: options.FolderModel = None,
     out_folder: options.Out = None,
     seed: options.Seed = None,
@@ -37,7 +38,10 @@ def sort(
 ) -> None:
     """Identify parts and release each at its place."""
     checked = cell_config(config, seed=seed, faults=faults)
-    simulated, model = checked.brings_objects, model_of_folder(model)
+    simulated = checked.brings_objects
+    if teach_grasps is None or not simulated:
+        model = model_of_folder(model)
+    teach_grasps = teach_grasps or 20
     if model is None and not simulated:
         raise ConfigError("--model is missing; `tactile-cell teach` and `model train` make one")
     objects = [entry.label for entry in checked.simulator.objects]
