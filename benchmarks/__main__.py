@@ -8,7 +8,7 @@ import importlib
 import sys
 
 _CHAPTERS = {
-    "performance": ("archive", "force_cap", "force_ramps", "identify", "servo_logs", "soak"),
+    "performance": ("force_cap", "force_ramps", "identify", "servo_logs", "soak"),
     "recognition": ("comparators", "other_cell", "sensors"),
     "paper": ("method", "reproduction"),
 }

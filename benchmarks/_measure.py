@@ -1,36 +1,6 @@
-"""Shared helpers: work in a process of its own, shares with intervals, effort, lines of figures."""
-
-import multiprocessing
-import resource
-import time
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
-from typing import TypeVar
-
-from joblib.externals.loky import get_reusable_executor
+"""Shared helpers: shares with intervals, effort, lines of figures."""
 
 from recognition.evaluation.evaluation import wilson_interval
-
-_Result = TypeVar("_Result")
-
-
-def in_own_process(work: Callable[[], _Result]) -> tuple[_Result, float, list[float]]:
-    """Do the work in a process of its own.
-
-    Returns the result, seconds, and peak memory of that process and of its largest worker in GB.
-    """
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context) as child:
-        return child.submit(_watched, work).result()
-
-
-def _watched(work: Callable[[], _Result]) -> tuple[_Result, float, list[float]]:
-    began_s = time.perf_counter()
-    result = work()
-    took_s = time.perf_counter() - began_s
-    get_reusable_executor().shutdown(wait=True)
-    who = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
-    return result, took_s, [resource.getrusage(one).ru_maxrss * 1024e-9 for one in who]
 
 
 def share(n_hits: int, n: int, interval: tuple[float, float] | None = None) -> str:

@@ -2,8 +2,6 @@
 
 import pytest
 
-from tests.processor_time import REFERENCE_LOOP_S, slowness
-
 
 def run(pytester: pytest.Pytester, *options: str) -> pytest.RunResult:
     pytester.makepyfile(
@@ -29,14 +27,6 @@ def test_an_unmarked_test_above_the_limit_fails_and_a_marked_one_passes(pytester
         result = run(pytester)
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines(["*simulate less, or mark it `slow`*", "FAILED *::test_unmarked*"])
-
-
-@pytest.mark.parametrize(("load", "factor"), [(0.1, 1.0), (1.5, 1.0), (2.25, 1.5), (9.0, 2.0)])
-def test_a_crowded_processor_gets_more(monkeypatch, load, factor) -> None:
-    monkeypatch.setattr("os.cpu_count", lambda: 4)
-    monkeypatch.setattr("os.getloadavg", lambda: (0.0, 4 * load, 0.0))
-    assert slowness(REFERENCE_LOOP_S) == pytest.approx(factor)
-    assert slowness(2.0 * REFERENCE_LOOP_S) == pytest.approx(2.0 * factor)
 
 
 def test_the_list_has_the_time_of_each_test(pytester) -> None:

@@ -20,12 +20,10 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks import __main__ as command
 from benchmarks.__main__ import MODULES
-from benchmarks._measure import same, share
 from benchmarks.paper.method import KINDS, SOLVERS, claims, column_sums, ramp_surface
 from benchmarks.paper.reproduction import (
     classify,
     levels_of,
-    name_by_threshold,
     one_frame,
     press,
     record,
@@ -34,7 +32,7 @@ from benchmarks.performance import servo_logs, soak
 from benchmarks.performance.servo_logs import Bench, Log, main, read_logs
 from cell.recording.dataset import write_dataset
 from gripper.dynamixel.models import XL330_M288, XM430_W350
-from recognition.quadric.quadric import Reading, find_thresholds, translation
+from recognition.quadric.quadric import Reading, translation
 from simulator.world.shapes import ObjectPose
 from tests import ROOT
 from tests.marks import LONG
@@ -84,18 +82,6 @@ def test_a_short_soak_leaves_no_file_and_no_thread(capsys, monkeypatch) -> None:
 def test_a_leak_is_found_and_one_step_of_the_allocator_is_none(leak, is_leak) -> None:
     samples = [{"done": 20 * i, "objects": 2000 * (i > 9) + 20 * i * leak} for i in range(50)]
     assert len(soak.judge(samples, {"objects": 0.5})) == is_leak
-
-
-def test_results_that_should_be_equal_end_it_where_they_are_not() -> None:
-    same(True, "nothing")
-    with pytest.raises(SystemExit, match="the figures mean nothing: one more"):
-        same(False, "one more")
-
-
-def test_a_share_has_the_interval_of_its_trials() -> None:
-    assert share(336, 342) == "98.2 % (96.2 to 99.2)"
-    assert share(10, 20, (0.25, 1.0)) == "50.0 % (25.0 to 100.0)"
-    assert share(0, 0) == "0.0 % (0.0 to 100.0)"
 
 
 # -- Simulated servos against logs of real ones: a log outside its target is found -----------------
@@ -230,12 +216,6 @@ def test_levels_follow_the_force_and_are_missing_without_contact():
     # more force, a higher peak, a smaller eigenvalue
     assert 1e-3 < at_full < at_common < 1e-2
     assert np.isnan(levels_of(one_frame(grasp, 0.0))).all()
-
-
-def test_a_value_belongs_to_the_object_between_whose_thresholds_it_falls():
-    levels = find_thresholds([[5.0, 6.0], [1.0, 2.0], [9.0, 10.0]])
-    values = np.array([0.0, 3.4, 3.6, 7.4, 7.6, 99.0, np.nan])
-    assert name_by_threshold(levels, values).tolist() == [1, 1, 0, 0, 2, 2, -1]
 
 
 def test_outcomes_count_names_and_missing_surfaces():

@@ -214,6 +214,8 @@ def test_a_table_has_its_labels_and_the_answers_that_were_given() -> None:
     smaller = score("", ["a", "b"], ["b", "b"], ["a", "b"]).without_empty()
     assert (smaller.columns, smaller.counts.tolist()) == (("a", "b"), [[0, 1], [0, 1]])
     assert score("", ["a"], ["x"], ["a"]).without_empty().columns == ("a", UNKNOWN)
+    untaught = score("", [UNKNOWN, UNKNOWN, "a"], [UNKNOWN, "a", UNKNOWN], ["a", UNKNOWN])
+    assert untaught.text == "1 of 3 right, 1 UNKNOWN, 1 wrong"
     page = page_of(paper_table().labels, tables=[paper_table()])
     assert "96.0 %" in page
     assert "86.5 to 98.9" in page  # Wilson

@@ -5,7 +5,7 @@ from unittest.mock import DEFAULT, Mock
 
 import pytest
 
-from gripper.errors import BusTimeout, ServoFault
+from gripper.errors import BusTimeout, GripperStateError, ServoFault
 from gripper.force.ramp import ForceRamp
 from gripper.servos.goal_limits import ServoGoal
 from gripper.servos.group import frozen
@@ -116,6 +116,24 @@ def test_a_trip_between_two_questions_is_found(cell, monkeypatch) -> None:
         cell.gripper.hold(0.5)
     let_time_pass(cell)
     assert cell.peak_n < 6.5
+
+
+def test_a_part_that_nobody_watched_for_a_while_is_left_with_a_lasting_current(make_cell) -> None:
+    cell = make_cell(force_max_n=50.0, watchdog_s=0.5)
+    cell.hold_part(ForceRamp.linear(20.0, 20.0))
+    cell.gripper.hold_at(20.0, 0.2)
+    cell.clock.sleep(0.2)
+    cell.gripper.keep_grip()
+    lasting = [servo.servo_model.holding_a for servo in cell.settings.servos]
+    assert [goal.current_a for goal in cell.gripper._servos.goals.last] == pytest.approx(lasting)
+
+
+def test_the_part_of_another_program_is_not_let_go_without_a_start(cell) -> None:
+    cell.hold_part(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.3))
+    cell.gripper.keep_grip()
+    with pytest.raises(GripperStateError, match="torque from before this program"):
+        cell.new_gripper().open()
+    assert cell.force_n > 5.0
 
 
 def goals(angle_rad: float, current_a: float) -> list[ServoGoal]:
