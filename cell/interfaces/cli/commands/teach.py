@@ -105,6 +105,12 @@ def _teach_grasps(
     out_folder: Path | None,
     json_file: Path | None,
 ) -> None:
+    objects, named = [entry.label for entry in config.simulator.objects], goal.present or goal.label
+    if config.brings_objects and ":" not in named and named not in objects:
+        raise ConfigError(
+            f"{named!r:.60} is no object of the simulated cell: `--object NAME` places one of "
+            f"{', '.join(objects)}, and the label stays"
+        )
     before = dataset_to_extend(dataset, pads_of(config))
     goal = goal.model_copy(update={"seed": config.seed + len(before)})
     taught: dict[str, Any] = {}
