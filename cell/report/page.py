@@ -168,18 +168,19 @@ def grasp_figure(grasp: Grasp, title: str) -> "Figure":
             taxels = grasp.pads.taxels_of(pad)
             xy_mm = 1e3 * grasp.pads.taxel_xy_m[taxels]
             points = axes.scatter(
-                *xy_mm.T, c=largest[taxels], marker="s", vmin=0, vmax=largest.max()
+                *xy_mm.T, c=largest[taxels], marker="s", vmin=0, vmax=largest.max(), clip_on=False
             )
             axes.set(aspect="equal", title=f"pad {pad}")
-            figure.colorbar(points, ax=axes, label="counts")
+            figure.colorbar(points, ax=axes, label="counts", shrink=0.5)
         load.set(xlabel="time / s", ylabel="sum of the counts")
         load.legend()
         opening.plot(grasp.t_s, 1e3 * grasp.aperture_m, color=colour(6))
-        opening.set(xlabel="time / s", ylabel="opening / mm")
+        opening.set(xlabel="time / s")
+        opening.set_ylabel("opening / mm", color=colour(6))
         if grasp.commanded:
             force = opening.twinx()
             force.plot(grasp.t_s, grasp.force_n, color=colour(5))
-            force.set_ylabel("commanded force / N")
+            force.set_ylabel("commanded force / N", color=colour(5))
     return figure
 
 
