@@ -13,7 +13,10 @@ _LOOK_S = 0.1
 """Time in s between two checks that the parent process exists."""
 
 INTERRUPTED = "interrupted"
-NOTHING_LET_GO = "; nothing was let go: `tactile-cell hand release` opens the grip of a real cell"
+NOTHING_LET_GO = (
+    "; nothing was let go: `tactile-cell hand release --config FILE --confirm` opens the grip of a "
+    "real cell"
+)
 """End of the message if a cell may hold a part and no command can let it go."""
 END_WITHIN_S = 0.4
 """Time in s for closing files after a second signal; then the program ends."""
