@@ -37,12 +37,19 @@ def click(page: Any, button: str, selector: str, wanted: str) -> None:
     becomes(page, selector, wanted)
 
 
+DRAWN = """Promise.race([
+  new Promise((go) => requestAnimationFrame(() => requestAnimationFrame(() => go(true)))),
+  new Promise((go) => setTimeout(() => go(false), 5000))])"""
+"""Whether two frames were drawn. A browser without a screen may stop until a picture is wanted."""
+
+
 def show(page: Any, cell: FakeCell, name: str) -> None:
     """Bring the cell into a state, and wait until the page shows it."""
     getattr(cell, name)()
     before = cell.n_messages
     until(lambda: cell.n_messages > before + 1)
-    page.evaluate("new Promise(go => requestAnimationFrame(() => requestAnimationFrame(go)))")
+    if not page.evaluate(DRAWN):
+        page.screenshot()
 
 
 def fits(page: Any) -> bool:
