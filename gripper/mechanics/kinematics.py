@@ -102,7 +102,7 @@ class ParallelLinkage(Linkage):
         return self.link_m * cos(angle_rad)
 
 
-_OVERRUN_RAD = 0.6
+_OVERRUN_RAD = 0.3
 """Angle in rad of a pinion beyond its widest opening: a finger may overrun it. [chosen]"""
 
 
