@@ -187,7 +187,7 @@ def _check_noise(config: CellConfig, layout: TaxelLayout) -> None:
     tared = np.rint(drawn.reshape(-1, n_taxels))
     tared -= tared.mean(axis=0)
     of_three_frames = tared.reshape(_NOISE_DRAWS, 3, n_taxels).mean(axis=1)
-    law = make_calibration(config.tactile.model_copy(update={"pad_gains": (1.0, 1.0)}), layout)
+    law = make_calibration(config.tactile, layout, with_gains=False)
     force_n = max(config.tactile.pad_gains) * law.force_n(of_three_frames).sum(axis=1)
     noise_n, contact_n = float(force_n.std(ddof=1)), config.gripper.contact_force_n
     if noise_n > _NOISE_PER_CONTACT * contact_n:

@@ -652,7 +652,9 @@ class Gripper:
         if self._life.fault is not None:
             return
         if carried is not None or self._servos.heats:
+            # The feedback may be old.
             with suppress(BusTimeout, BusCorrupt):
+                self._servos.read_patiently()
                 self._servos.freeze()
 
     def _held_control(self, command: str) -> GripControl:
@@ -671,19 +673,17 @@ class Gripper:
     def _make_ready(self, *, releasing: bool = False) -> bool:
         """Prepare the servos for a command; return whether all of them were without torque."""
         limp: ServoFeedback | None = None
-        if self._servos.goals.last:
-            pass
-        elif any(self._servos.torques()):
-            if not (releasing or self._life.part_possible):
+        if not self._servos.goals.last:
+            if not any(self._servos.torques()):
+                limp = self._servos.read_patiently()
+                positions_raw = [servo.position_raw for servo in limp.servos]
+                _check_standing(standing_rows(self.mechanics, positions_raw))
+                self._grasping.start_proving()
+            elif not (releasing or self._life.part_possible):
                 raise GripperStateError(
                     "a servo has torque from before this program, so a part may be held: it is "
                     "kept. Clear the fault, then release, or call start first"
                 )
-        else:
-            limp = self._servos.read_patiently()
-            positions_raw = [servo.position_raw for servo in limp.servos]
-            _check_standing(standing_rows(self.mechanics, positions_raw))
-            self._grasping.start_proving()
         self._servos.make_ready(
             part_possible=self._life.part_possible, releasing=releasing, limp=limp
         )

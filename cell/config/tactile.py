@@ -265,11 +265,13 @@ def layout_from_config(config: TactileConfig) -> TaxelLayout:
         return TaxelLayout(name=own.name, pads=tuple(pads), adc_max=own.adc_max)
 
 
-def make_calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:
-    """Return the law from counts to force of a config for a layout."""
+def make_calibration(
+    config: TactileConfig, layout: TaxelLayout, *, with_gains: bool = True
+) -> Calibration:
+    """Return the law from counts to force of a config for a layout, with the gains of its pads."""
     law, gains = config.calibration, np.array(config.pad_gains)
     gain: np.ndarray[Any, Any] | float = 1.0
-    if config.pad_gains != (1.0, 1.0):
+    if with_gains and config.pad_gains != (1.0, 1.0):
         gain = gains[[pad.finger for pad in layout.pads]][layout.taxel_pad]
     if not law.counts:
         return FoamCalibration(layout.adc_max, gain)

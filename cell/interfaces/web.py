@@ -409,8 +409,9 @@ class WebInterface(HttpServer):
             if after and not after.isdecimal():
                 await link.close(1008, "parts_after is not a part number")
                 return
-            if link.query_params.get("boot", str(self._service.boot)) != str(self._service.boot):
-                after = after and "0"
+            boot = str(self._service.boot)
+            if after and link.query_params.get("boot", boot) != boot:
+                after = "0"
             frames = link.query_params.get("frames", "")
             await self._feed.send_to(link, frames, int(after) if after else None)
         except (WebSocketDisconnect, TimeoutError, RuntimeError):
@@ -587,9 +588,9 @@ class WebInterface(HttpServer):
         ``latch`` stops once, and is refused.
         """
         host = "" if request.client is None else request.client.host
-        who, wrong = f"HTTP {host} {name[:60]}".rstrip(), isinstance(latch, str)
-        self._service.stop_as(who, None if isinstance(latch, str) else latch)
-        if wrong:
+        latched = None if isinstance(latch, str) else latch
+        self._service.stop_as(f"HTTP {host} {name[:60]}".rstrip(), latched)
+        if isinstance(latch, str):
             raise RequestRefused(f"latch is {latch!r:.40}: write true or false; it stopped once")
         return {"state": self._plugin.status().state, "held_by": self._service.held_by}
 

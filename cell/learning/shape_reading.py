@@ -33,10 +33,9 @@ def usual_foam(config: CellConfig) -> FoamModel:
     gain = 1.0 / fmean(config.tactile.pad_gains)
     if not law.counts:
         return FoamModel(gain=gain)
-    one_law = config.tactile.model_copy(update={"pad_gains": (1.0, 1.0)})
     counts = np.unique([0.0, *law.counts, layout.adc_max])
     counts = counts[counts <= layout.adc_max]
-    force_n = make_calibration(one_law, layout).force_n(counts)
+    force_n = make_calibration(config.tactile, layout, with_gains=False).force_n(counts)
     return FoamModel(gain=gain, nodes=(tuple(force_n), tuple(counts / layout.adc_max)))
 
 

@@ -93,13 +93,16 @@ class TaughtModel:
         """
         model = load_model(path, pad_array(layout_from_config(config.tactile)))
         grasps = _saved_training_set(model) if training_set is None else read_dataset(training_set)
-        own = str(model.training_set.get("file")) == training_set_file(model.path).name
-        if not (_has_trained(model, grasps) or own or training_set is not None):
-            note(f"{model.training_set['file']} is no longer what trained {path}: it is not used")
-            grasps = ()
-        if not _has_trained(model, grasps) and training_set is not None:
-            note(f"{training_set} did not train {path}: takes the data set beside it, if there")
-            grasps = _saved_training_set(model) or grasps
+        file = str(model.training_set.get("file"))
+        # People change a file that `save` did not write; one of `save` is checked below.
+        of_save = training_set is None and file == training_set_file(model.path).name
+        if not of_save and not _has_trained(model, grasps):
+            if training_set is None:
+                note(f"{file} is no longer what trained {path}: it is not used")
+                grasps = ()
+            else:
+                note(f"{training_set} did not train {path}: takes the data set beside it, if there")
+                grasps = _saved_training_set(model) or grasps
         return cls(config, model, training_set=grasps)
 
     def check_taught(self) -> Trained:

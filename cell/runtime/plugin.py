@@ -393,7 +393,7 @@ class TactileCellPlugin:
             the simulated cell and the goal names no part for it.
         """
         checked = checked_goal(goal)
-        self._check_taught(checked.task)
+        self._check_task(checked.task)
         if isinstance(checked, TeachGoal | GaugeGoal):
             self._worker.check_free()
         checked = self._with_part(checked)
@@ -446,22 +446,22 @@ class TactileCellPlugin:
         self._worker.check_free()
         if task in _COMMANDS:
             self.cell.controller.life.check(_COMMANDS[task])
-            self._check_taught(task)
+            self._check_task(task)
         else:
             self.cell.controller.life.check(self._needed(Command(task)))
 
-    def _check_taught(self, task: str) -> None:
-        """Raise CellStateError or ConfigError if the taught objects do not allow a task."""
+    def _check_task(self, task: str) -> None:
+        """Raise CellError if the config or the taught objects do not allow a task."""
         if task == "teach":
             self.model.check_extendable()
         elif task == "zero":
             self.cell.controller.zeros.check()
-        elif task in (*_NAMING, "gauge"):
+        elif task == "gauge":
+            self.model.check_gauge()
+        elif task in _NAMING:
             self.model.check_taught()
             if task == "sort":
                 self._tasks.places()
-            elif task == "gauge":
-                self.model.check_gauge()
 
     def _needed(self, command: Command) -> Command:
         """Return the controller's command for a host's command in the present state."""
