@@ -90,6 +90,7 @@ def confusion_table(answers: Answers) -> ConfusionTable | None:
     if not asked:
         return None
     labels = sorted({name for row in asked for name in row[:2]} - {UNKNOWN})
+    labels += [UNKNOWN] if any(truth == UNKNOWN for truth, *_ in asked) else []
     truths, given = zip(*(row[:2] for row in asked for _ in range(row[2])), strict=True)
     return score("All identifications of named parts", truths, given, labels)
 

@@ -24,8 +24,8 @@ from recognition.evaluation.evaluation import wilson_interval
 from recognition.recognizer import UNKNOWN
 
 _COLUMNS = (
-    "cell", "day", "label", "answer", "of_part", "part_grasps", "zero", "closing_current_a",
-    "hold_current_a", "touch_aperture_m", "pad_load",
+    "cell", "day", "label", "answer", "of_part", "part_grasps", "probabilities", "zero",
+    "closing_current_a", "hold_current_a", "touch_aperture_m", "pad_load",
 )  # fmt: skip
 LEAST_DAYS = 3
 """Fewest days of a cell for a trend."""
@@ -180,9 +180,10 @@ def ask(target: str, selection: Selection = EVERYTHING) -> Answers:
         ["cell", "day", "label"],
         [(n, how) for n in SIGNALS for how in ("count", "mean")],
     )
+    named = rows.filter(pc.field("of_part") == 0)
     parts = _grouped(
-        rows.filter(pc.field("of_part") == 0),
-        ["cell", "day", "label", "answer"],
+        named.append_column("truth", pa.array(_truths(named), pa.string())),
+        ["cell", "day", "label", "truth", "answer"],
         [([], "count_all"), ("part_grasps", "sum")],
     )
     of_cell: defaultdict[str, list[Row]] = defaultdict(list)
@@ -190,17 +191,26 @@ def ask(target: str, selection: Selection = EVERYTHING) -> Answers:
         of_cell[row["cell"]].append(row)
     asked = Counter[tuple[str, str]]()
     for row in parts:
-        asked[row["label"], row["answer"]] += row["count_all"]
+        asked[row["truth"], row["answer"]] += row["count_all"]
     return Answers(
         n_grasps=rows.num_rows,
         cells={
             cell: tuple(dict.fromkeys(one["day"] for one in some)) for cell, some in of_cell.items()
         },
-        confusions=tuple(_confusions(parts, asked)),
+        confusions=tuple(_confusions(parts)),
         trends=tuple(trend for cell, some in of_cell.items() for trend in _trends(cell, some)),
         objects=tuple(_needs(rows, parts)),
         parts=dict(asked),
     )
+
+
+def _truths(parts: pa.Table) -> list[str]:
+    """Return the right answer to each identification: UNKNOWN where its object was never taught."""
+    columns = (parts[name].to_pylist() for name in ("label", "probabilities"))
+    return [
+        label if not label or not taught or label in dict(taught) else UNKNOWN
+        for label, taught in zip(*columns, strict=True)
+    ]
 
 
 def _grouped(rows: pa.Table, keys: list[str], values: list[tuple[Any, str]]) -> list[Row]:
@@ -248,7 +258,10 @@ def _trends(cell: str, rows: Sequence[Row]) -> Iterable[Trend]:
         )
 
 
-def _confusions(parts: Sequence[Row], asked: Mapping[tuple[str, str], int]) -> Iterable[Confusion]:
+def _confusions(parts: Sequence[Row]) -> Iterable[Confusion]:
+    asked = Counter[tuple[str, str]]()
+    for row in parts:
+        asked[row["label"], row["answer"]] += row["count_all"]
     for (label, answer), n in sorted(asked.items(), key=lambda item: -item[1]):
         if not label or answer in (label, UNKNOWN):
             continue
@@ -275,7 +288,7 @@ def _needs(rows: pa.Table, parts: Sequence[Row]) -> list[ObjectNeed]:
             continue
         here = [part for part in parts if part["label"] == label]
         n_parts = sum(part["count_all"] for part in here)
-        n_right = sum(part["count_all"] for part in here if part["answer"] == label)
+        n_right = sum(part["count_all"] for part in here if part["answer"] == part["truth"])
         low, high = wilson_interval(n_right, n_parts)
         reasons = []
         if row["count_all"] < _FEW_GRASPS:

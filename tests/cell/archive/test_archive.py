@@ -31,6 +31,7 @@ from cell.recording.recorder import Recorder
 from cell.report.page import render_report
 from recognition.drift.drift import day_effects
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand, SelfZero
+from recognition.recognizer import UNKNOWN
 from tests.cell.archive.fleet import PADS, SIZES_MM, ramp, record, record_fleet
 from tests.cell.cells import call
 from tests.fuzz.harness import Clock, same_grasps
@@ -394,6 +395,18 @@ def test_the_page_has_the_answers_and_no_markup_of_labels(aged: str) -> None:
     for line in lines(answers):
         assert line.removeprefix("needs more grasps: box: ") in page
     assert page.count('class="plot"') == len({one.signal for one in answers.trends})
+
+
+def test_unknown_is_the_right_answer_to_an_object_that_was_never_taught(tmp_path: Path) -> None:
+    target, rng = str(tmp_path / "archive"), np.random.default_rng(4)
+    nuts = [replace(ramp("ball", rng, start_ms=i), label="nut") for i in range(3)]
+    record(tmp_path / "recording.mcap", nuts, answers=[UNKNOWN, UNKNOWN, "ball"])
+    add(target, sources([tmp_path]))
+    answers = ask(target)
+    assert [(need.label, need.n_right, need.n_parts) for need in answers.objects] == [("nut", 2, 3)]
+    assert [(one.label, one.answer, one.n) for one in answers.confusions] == [("nut", "ball", 1)]
+    table = confusion_table(answers)
+    assert table is not None and table.text == "2 of 3 right, 1 wrong"
 
 
 def test_an_archive_without_answers_says_so(tmp_path: Path) -> None:
