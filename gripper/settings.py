@@ -146,7 +146,8 @@ class GripperSettings:
     force_stale_s: float = setting(0.1, low=0.02, high=1.0)
     """Oldest force sample in s that may be used."""
     bus_loss_s: float = setting(0.07, low=0.02, high=2.0)
-    """Time without feedback in s after which the bus counts as lost."""
+    """Time without feedback in s after which the bus counts as lost: at least four periods, so that
+    a finger that falls silent alone is found before."""
     feedback_loss_max_share: float = setting(0.05, low=0.001, high=1.0)
     """Largest share of periods without feedback; counted over a window in which one loss for
     ``bus_loss_s`` is just this share."""
@@ -192,6 +193,7 @@ class GripperSettings:
         check_settings(self)
         check_number("aperture_min_m", self.aperture_min_m, high=self.aperture_open_m)
         check_number("aperture_pressed_m", self.least_pressed_m, high=self.aperture_min_m)
+        check_number("bus_loss_s", self.bus_loss_s, low=4.0 * self.period_s)
         for servo in self.servos:
             model = servo.servo_model
             most_c = model.temperature_limit_c

@@ -160,7 +160,8 @@ class GripperConfig(Section):
     """Tolerance above the cap for the mean of a few samples in N, up to 5; three times as much for
     one sample."""
     bus_loss_ms: float = setting_of(GripperSettings, "bus_loss_s", MILLI)
-    """Time without answers of the servos after which their bus has a fault in ms, 20 to 2000."""
+    """Time without answers of the servos after which their bus has a fault in ms, 20 to 2000 and at
+    least four periods of loop_rate_hz."""
     feedback_loss_max_share: float = setting_of(GripperSettings, "feedback_loss_max_share")
     """Share of the loop's periods without answers of the servos, 0.001 to 1; more is a fault.
     Counted over bus_loss_ms divided by this share, about 1.5 s with the defaults."""

@@ -131,6 +131,11 @@ CAN = PORT + "tactile: {interface: socketcan, channel: can0}\n"
         ("gripper:\n  force_max_n: .nan\n", ["cell.yaml:2", "gripper.force_max_n", "finite"]),
         ("gripper:\n  servos:\n    - id: 1\n    - id: 300\n", ["yaml:4", "servos.1.id", "252"]),
         ("gripper: {approach_speed_mm_s: 4, contact_timeout_s: 1}\n", ["1:35: ", "4.7 s", "5 or"]),
+        ("gripper: {loop_rate_hz: 100, bus_loss_ms: 20}\n", ["s is 0.02,", "at least 0.04"]),
+        (
+            "gripper: {temperature_max_c: 75, servos: [{id: 1, model: XL330-M288}]}\n",
+            ["temperature_max_c is 75.0, must be finite and at most 70"],
+        ),
         ("gripper: {baud_rate: 115200}\n", ["1:11: gripper.b", "115200 allows", "most 64 Hz"]),
         (
             "sequence:\n  max_grasps: 3\n  force_n: [1, 14]\n",
