@@ -144,7 +144,8 @@ class DriveSettings(AxisSettings):
     homing: HomingMethod | None
     """Homing method of an axis that counts upwards; None for an absolute encoder."""
     home: float
-    """Position at the home in m or rad (607Ch)."""
+    """Position at the home in m or rad. The drive counts from its home: 607Ch is 0, because its sign
+    differs between makers."""
     homing_velocity: float
     """Speed to the switch in m/s or rad/s; back from it a fifth."""
 
@@ -160,6 +161,7 @@ class Cia402Drive(Axis):
         super().__init__(settings, f"drive {node_id}", bus.watch, home)
         self._bus = bus
         self._node_id = node_id
+        self._home_count = round((home or 0.0) * settings.increments)
         self._client = PolledSdoClient(
             node_id,
             od.of_node(node_id),
@@ -256,7 +258,7 @@ class Cia402Drive(Axis):
         host_lost_ms = round(1e3 * _HOST_LOST_FACTOR * self._bus.loss_s)
         self._write("Consumer heartbeat time.Host", _HOST_NODE << 16 | host_lost_ms)
         self._bus.beat()
-        self._write("Target position", target)
+        self._write("Target position", target - self._home_count)
         self._target = target
         self._write("Controlword", od.NEW_SET_POINT)
         self._until(lambda: bool(self._status() & Status.ACKNOWLEDGED), "takes no set-point")
@@ -280,7 +282,7 @@ class Cia402Drive(Axis):
 
     def read_increments(self) -> int:
         """Return the present position in increments (6064h)."""
-        return self._read("Position actual value")
+        return self._read("Position actual value") + self._home_count
 
     def stop(self) -> None:
         """Send a quick stop without a wait; a silent drive may still receive it."""
@@ -336,8 +338,8 @@ class Cia402Drive(Axis):
         low, high = settings.limits
         acceleration = counts(settings.acceleration)
         for name, value in (
-            ("Software position limit.Min position limit", low),
-            ("Software position limit.Max position limit", high),
+            ("Software position limit.Min position limit", low - self._home_count),
+            ("Software position limit.Max position limit", high - self._home_count),
             ("Following error window", counts(settings.lag)),
             ("Following error time out", _FOLLOWING_MS),
             ("Position window", counts(settings.window)),
@@ -387,7 +389,7 @@ class Cia402Drive(Axis):
         fast = counts(settings.homing_velocity)
         self._set_mode(ModeOfOperation.HOMING)
         self._write("Homing method", method)
-        self._write("Home offset", round(settings.home * settings.increments))
+        self._write("Home offset", 0)
         self._write("Homing speeds.Speed during search for switch", fast)
         slow = max(1, fast // _ZERO_SPEED_SHARE)
         self._write("Homing speeds.Speed during search for zero", slow)

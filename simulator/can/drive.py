@@ -337,7 +337,10 @@ class SimulatedDrive(CanopenDevice):
             self.fail(od.FOLLOWING_ERROR_CODE)
 
     def _home(self, method: int) -> Iterator[None]:
-        """Home in steps: to the switch, then slowly back; home is where the switch opens."""
+        """Home in steps: to the switch, then slowly back; home is where the switch opens.
+
+        There the position is the negative home offset (CiA 402-2, 607Ch).
+        """
         motion, acceleration = self.motion, self.number("Homing acceleration")
         if method != HomingMethod.HERE:
             direction = -1.0 if method == HomingMethod.NEGATIVE_SWITCH else 1.0
@@ -346,7 +349,7 @@ class SimulatedDrive(CanopenDevice):
                 while motion.switches(self.forced_switch)[direction > 0.0] is active:
                     motion.go(motion.demand + way * 1e9, velocity, acceleration or 1e9)
                     yield
-        self._zero = motion.actual - self.number("Home offset")
+        self._zero = motion.actual + self.number("Home offset")
         motion.stop(acceleration or 1e6)
         yield
         while not motion.resting:

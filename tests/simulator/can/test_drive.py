@@ -53,8 +53,8 @@ def test_canopens_own_node_changes_modes_and_finds_the_home(bench) -> None:
     bench.witness.sdo["Homing speeds"][2].raw = 2_000
     bench.witness.sdo["Homing acceleration"].raw = 200_000
     assert bench.witness.homing(timeout=30)
-    # The switch lets go at 10 mm, where 7000 is read; braking goes on a little.
-    assert bench.witness.sdo["Position actual value"].raw - 7000 == pytest.approx(
+    # The switch lets go at 10 mm, where -7000 is read; braking goes on a little.
+    assert bench.witness.sdo["Position actual value"].raw + 7000 == pytest.approx(
         1e6 * (bench.device.position - 0.01), abs=15
     )
 
