@@ -184,7 +184,7 @@ class SimulatedDrive(CanopenDevice):
 
     def _take(self, can_id: int, _data: bytes) -> None:
         node_id, silence_ms = divmod(self.number("Consumer heartbeat time.Host"), 1 << 16)
-        if can_id == od.COB_HEARTBEAT + node_id:
+        if silence_ms and can_id == od.COB_HEARTBEAT + node_id:
             self._host_due_s = self._network.now_s + 1e-3 * silence_ms
 
     def _changed(self) -> None:

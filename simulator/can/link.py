@@ -74,6 +74,11 @@ class CanWire:
         """Number of messages that wait."""
         return sum(len(burst.waiting) for queue in self._queues.values() for burst in queue)
 
+    @property
+    def n_of_host(self) -> int:
+        """Number of the host's messages that wait."""
+        return len(self._queues.get(_HOST, ()))
+
     def put(
         self, ready_s: float, can_id: int, burst: Sequence[bytes], *, from_host: bool = False
     ) -> None:
@@ -142,6 +147,10 @@ _ARRIVAL_S = attrgetter("timestamp")
 """Time in s at which a message arrives."""
 _FLOOD_ID = 0x6FF
 """Identifier of flooding messages: an SDO request to the unused node 127."""
+_FLOOD_S = 0.02
+"""Longest wait in s of a flooding message: a full controller sends nothing more."""
+_OUTBOX_LIMIT = 100
+"""Most messages that wait in the adapter of the host."""
 _INBOX_LIMIT = 100_000
 """Most messages in the adapter's memory: half a minute of frames at 50 Hz."""
 
@@ -197,7 +206,12 @@ class CanLink:
         return lambda: self._devices.remove(device)
 
     def send(self, can_id: int, data: bytes, now_s: float) -> None:
-        """Send a message of the host; it reaches the devices before this returns."""
+        """Send a message of the host; it reaches the devices before this returns.
+
+        Raises can.CanOperationError if the adapter is full.
+        """
+        if self._wire.n_of_host >= _OUTBOX_LIMIT:
+            raise can.CanOperationError("the transmit buffer of the adapter is full")
         self._wire.put(now_s, can_id, (data,), from_host=True)
         if not self.faults.bus_off:
             for device in tuple(self._devices):
@@ -270,7 +284,8 @@ class CanLink:
         if math.isinf(self._flood_due_s):
             self._flood_due_s = now_s
         while self._flood_due_s <= now_s:
-            self._wire.put(self._flood_due_s, _FLOOD_ID, (self._rng.bytes(8),))
+            if self._wire.end_s(self._flood_due_s, _FLOOD_ID) < now_s + _FLOOD_S:
+                self._wire.put(self._flood_due_s, _FLOOD_ID, (self._rng.bytes(8),))
             self._flood_due_s += 1.0 / self.faults.flood_hz
 
     def _report_state(self, now_s: float) -> None:
@@ -330,7 +345,8 @@ class InMemoryCanBus(can.BusABC):
             raise can.CanOperationError("the CAN controller is bus-off: nothing was sent")
         if self._deaf:
             return
-        if not msg.is_extended_id:  # no device here takes identifiers of 29 bits
+        # No device here takes identifiers of 29 bits, remote frames or CAN FD.
+        if not (msg.is_extended_id or msg.is_remote_frame or msg.is_fd):
             self._link.send(msg.arbitration_id, bytes(msg.data), self.clock.monotonic())
 
     def recv(self, timeout: float | None = None) -> can.Message | None:

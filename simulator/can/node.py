@@ -31,6 +31,8 @@ _ABORT = struct.Struct("<BHBL")
 _SDO_BYTES = 8
 _SPECIFIER_BITS = 0xE0
 """Command specifier in the first byte of an SDO request (CiA 301)."""
+_BLOCK_TRANSFERS = (sdo.REQUEST_BLOCK_UPLOAD, sdo.REQUEST_BLOCK_DOWNLOAD)
+"""Specifiers of requests that these devices do not have."""
 _UPLOADS = (sdo.REQUEST_UPLOAD, sdo.REQUEST_SEGMENT_UPLOAD)
 """Specifiers of requests that change no object."""
 # A refusal of the server is an abort for the client, not an error of the simulator.
@@ -154,6 +156,8 @@ class CanopenDevice(ABC):
         """Answer one SDO request."""
         server = self._node.sdo
         try:
+            if request[0] & _SPECIFIER_BITS in _BLOCK_TRANSFERS:
+                raise struct.error
             server.on_request(server.rx_cobid, bytearray(request), self._network.now_s)
         except struct.error:
             # Its abort has the object of the last transfer, but there was no transfer.

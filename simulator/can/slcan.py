@@ -110,7 +110,10 @@ class SlcanAdapter:
         if len(data) != int(match[2]):
             return _REFUSED
         if self._chosen == self._link.bitrate:
-            self._link.send(int(match[1], 16), data, now_s)
+            try:
+                self._link.send(int(match[1], 16), data, now_s)
+            except can.CanOperationError:
+                return _REFUSED
         return b"z\r"
 
 

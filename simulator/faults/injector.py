@@ -178,7 +178,7 @@ class FaultInjector:
         if not self._injected:
             return
         for fault in self.faults:
-            if math.isinf(fault.event_s) and self._happens(fault.event):
+            if math.isinf(fault.event_s) and self._happens(fault):
                 fault.event_s = now_s
             since_s = now_s - fault.event_s + ROUNDING_S
             if fault.began_s is not None:
@@ -190,8 +190,10 @@ class FaultInjector:
                 fault.clear()
         self._injected = [fault for fault in self._injected if not fault.over]
 
-    def _happens(self, event: str) -> bool:
+    def _happens(self, fault: Fault) -> bool:
         devices = self.devices
-        if event == "contact":
+        if fault.event == "contact":
             return min(devices.world.contact_force_n()) > CONTACT_N
+        if fault.entry.name.startswith("axisN"):
+            return bool(fault.owner.moving)
         return any(abs(motor.velocity_rad_s) > MOVING_RAD_S for motor in devices.mechanics.motors)

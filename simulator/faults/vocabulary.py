@@ -404,7 +404,7 @@ _FAULTS = (
     FaultEntry("servoN.overheat", "its internal temperature has this value, and falls slowly",
                "plant.temperature_c", Number("degC", -20.0, 150.0, default=90.0)),
     FaultEntry("servoN.supply", "its supply has this voltage", "plant.voltage_v",
-               Number("V", 0.0, 30.0, default=6.0)),
+               Number("V", 5.0, 30.0, default=6.0)),
     FaultEntry("servoN.error", "these bits of Hardware Error Status (16 shock, 8 encoder)",
                "injected_error", Number("bits", 1, 63, default=16, whole=True)),
     FaultEntry("servoN.stuck", "its encoder always reports the same angle", "plant.stuck_at_rad",

@@ -325,7 +325,8 @@ class PadsMeet:
         self._pair = pair
         # Reach of each pad's taxel field towards the other pad.
         self._reach_m = tuple(self._reach(side) for side in (0, 1))
-        self._highest_m = float(self._reach_m[0].max())
+        self.highest_m = float(self._reach_m[0].max())
+        """Opening in m below which the pads touch each other."""
 
     def _reach(self, side: int) -> NDArray[np.float64]:
         """Return the depth of a pad's cells in the other pad in m, relative to the middle."""
@@ -345,7 +346,7 @@ class PadsMeet:
     ) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return force in N and stiffness in N/m on each pad at half openings in m."""
         opening_m = position_m[0] + position_m[1]
-        if opening_m >= self._highest_m:
+        if opening_m >= self.highest_m:
             return (0.0, 0.0), (0.0, 0.0)
         table = self._forces
         force_n, stiffness_n_m = table.lookup(table.reach_max_m - opening_m)

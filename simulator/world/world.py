@@ -257,7 +257,17 @@ class PhysicalWorld:
         while self._time_s + STEP_S <= now_s + ROUNDING_S:
             self._time_s += STEP_S
             fingers.step(STEP_S, self._force_n, self._stiffness_n_m)
-            self._force_n, self._stiffness_n_m = contact.settle(fingers.finger_position_m)
+            position_m = fingers.finger_position_m
+            force_n, stiffness_n_m = contact.settle(position_m)
+            if self._meet_beside(position_m):
+                (more_n, _), (stiffer_n_m, _) = self._empty.settle(position_m)
+                force_n = force_n[0] + more_n, force_n[1] + more_n
+                stiffness_n_m = stiffness_n_m[0] + stiffer_n_m, stiffness_n_m[1] + stiffer_n_m
+            self._force_n, self._stiffness_n_m = force_n, stiffness_n_m
+
+    def _meet_beside(self, position_m: tuple[float, float]) -> bool:
+        """Return whether the pads press on each other beside a thin object."""
+        return self._press is not None and sum(position_m) < self._empty.highest_m
 
     def skip_to(self, now_s: float) -> None:
         """Leave out the time until ``now_s`` s: nothing has happened meanwhile."""
@@ -276,6 +286,8 @@ class PhysicalWorld:
             position_m, contact = self._fingers.finger_position_m, self._press or self._empty
             for side, taxels in enumerate(self._grip_slices):
                 force_n[taxels] += contact.taxel_force_n(side, position_m)
+                if self._meet_beside(position_m):
+                    force_n[taxels] += self._empty.taxel_force_n(side, position_m)
         return force_n
 
     def measured_force_n(self) -> NDArray[np.float64]:

@@ -89,10 +89,10 @@ def test_the_lowest_identifier_goes_first_but_never_interrupts_one_on_the_wire()
     assert order == [0x385, 0x285, 0x385, 0x385]
 
 
-def test_no_device_takes_an_identifier_of_29_bits() -> None:
+def test_no_device_takes_an_identifier_of_29_bits_a_remote_frame_or_can_fd() -> None:
     echo, bus, _ = echo_bus()
-    bus.send(can.Message(arbitration_id=0x605, data=b"\x40", is_extended_id=True))
-    bus.send(can.Message(arbitration_id=0x605, data=b"\x40", is_extended_id=False))
+    for other in ({"is_extended_id": True}, {"is_remote_frame": True}, {"is_fd": True}, {}):
+        bus.send(can.Message(**{"arbitration_id": 0x605, "is_extended_id": False} | other))
     assert [can_id for _, can_id, _ in echo.heard] == [0x605]
 
 
@@ -169,6 +169,16 @@ def test_messages_can_come_late_with_one_bit_turned_or_cut_off() -> None:
     assert all(m.dlc == 8 and len(m.data) < 8 for m in short)
 
 
+def test_a_flood_fills_the_bus_and_ends_with_its_fault() -> None:
+    link = CanLink(Echo(), faults=(faults := CanLinkFaults(flood_hz=20_000.0)))
+    for now_ms in range(500):
+        link.advance(1e-3 * now_ms)
+    faults.flood_hz = 0.0
+    arrived_s = [message.timestamp for message in link.take(9.0)]
+    assert len(arrived_s) > 3500
+    assert arrived_s[-1] < 0.53
+
+
 def test_an_adapter_that_nobody_reads_loses_messages(monkeypatch) -> None:
     monkeypatch.setattr("simulator.can.link._INBOX_LIMIT", 100)
     echo = Echo()
@@ -203,6 +213,10 @@ def test_a_client_opens_with_the_commands_of_python_can() -> None:
     assert line.say(b"C\rS8\r\rO\rO\r") == b"\a\r\r\a"
     assert line.say(b"t1232AABB\r") == b"z\r"
     assert line.heard == [(0x123, b"\xaa\xbb")]
+
+
+def test_more_messages_than_the_adapter_holds_are_refused() -> None:
+    assert Line(b"O").say(b"t0800\r" * 101) == b"z\r" * 100 + b"\a"
 
 
 def test_messages_come_as_lines_when_they_are_through() -> None:

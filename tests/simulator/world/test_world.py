@@ -51,6 +51,14 @@ def test_empty_pads_meet_foam_on_foam() -> None:
     assert sums[0] / sums[1] == pytest.approx(1.5, rel=0.05)
 
 
+def test_pads_meet_beside_a_thin_part() -> None:
+    with_part, without = Bench(), Bench()
+    with_part.world.place("cylinder:diameter=2mm,length=12mm")
+    opened_n, met_n = (with_part.go(half_m, half_m)[0] for half_m in (1e-5, -2e-4))
+    assert met_n - opened_n > without.go(-2e-4, -2e-4)[0] > 1.0
+    assert with_part.pad_force_n(0).sum() == pytest.approx(met_n, rel=0.05)
+
+
 class Bench:
     """A world with hand-moved fingers and a way to squeeze to a force."""
 
