@@ -144,8 +144,8 @@ class DriveSettings(AxisSettings):
     homing: HomingMethod | None
     """Homing method of an axis that counts upwards; None for an absolute encoder."""
     home: float
-    """Position at the home in m or rad. The drive counts from its home: 607Ch is 0, because its sign
-    differs between makers."""
+    """Position at the home in m or rad. The drive counts from its home: the sign of 607Ch differs
+    between makers, so that it is 0."""
     homing_velocity: float
     """Speed to the switch in m/s or rad/s; back from it a fifth."""
 

@@ -406,7 +406,8 @@ def test_unknown_is_the_right_answer_to_an_object_that_was_never_taught(tmp_path
     assert [(need.label, need.n_right, need.n_parts) for need in answers.objects] == [("nut", 2, 3)]
     assert [(one.label, one.answer, one.n) for one in answers.confusions] == [("nut", "ball", 1)]
     table = confusion_table(answers)
-    assert table is not None and table.text == "2 of 3 right, 1 wrong"
+    assert table is not None
+    assert table.text == "2 of 3 right, 1 wrong"
 
 
 def test_an_archive_without_answers_says_so(tmp_path: Path) -> None:
