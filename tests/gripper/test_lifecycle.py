@@ -42,8 +42,17 @@ from tests.values import raising
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 
 
-def test_a_current_that_cannot_be_ends_in_limp_fingers(cell, monkeypatch) -> None:
+@pytest.mark.parametrize("lost", [0, 2])
+def test_a_current_that_cannot_be_ends_in_limp_fingers(cell, monkeypatch, lost) -> None:
     cell.hold_part(RAMP)
+    write, losses = cell.gripper.bus.write, iter(range(lost))
+
+    def sometimes(servo_id: int, register, value: int) -> None:
+        if register is TORQUE_ENABLE and next(losses, None) is not None:
+            raise BusTimeout("lost")
+        write(servo_id, register, value)
+
+    cell.gripper.bus.write = sometimes
 
     def absurd(model, present_a: float, *_of: float) -> tuple[float, float]:
         return 12.0 * present_a, 12.0 * present_a
@@ -54,11 +63,12 @@ def test_a_current_that_cannot_be_ends_in_limp_fingers(cell, monkeypatch) -> Non
     assert cell.torques == [0, 0]
 
 
-def test_force_that_one_pad_shows_alone_lowers_the_currents_by_a_share(make_cell) -> None:
+@pytest.mark.parametrize("lost", [0.0, 0.25])
+def test_force_that_one_pad_shows_alone_lowers_the_currents_by_a_share(make_cell, lost) -> None:
     cell = make_cell(force_max_n=6.0)
     cell.hold_part(RAMP)
     written: list[int] = []
-    measure = cell.sensor.measure
+    measure, cell.device.faults.drop = cell.sensor.measure, lost
     cell.sensor.measure = lambda now_s, true_n: measure(now_s, (2.5 * true_n[0], true_n[1]))
     with pytest.raises(ForceAboveCap, match="force_max_n is 6"):
         cell.gripper.hold(1.0, lambda _: written.append(cell.register(0, "goal_current")))
