@@ -23,6 +23,7 @@ from motion.errors import (
 )
 from motion.object_dictionary import HomingMethod
 from tests.motion.conftest import BOOT_S, NODE, PER_M, DriveBench, MakeDrive
+from tests.values import raising
 
 NEAR_M = 5e-5
 ENDS = ("Min", "Max")
@@ -126,6 +127,13 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(bench, fail, er
     simulated.forced_switch = 0
     assert bench.move(0.005) == pytest.approx(0.005, abs=NEAR_M)
     assert simulated.position == pytest.approx(0.005, abs=NEAR_M)
+
+
+def test_a_time_out_of_the_supervision_is_none_of_the_interface(bench) -> None:
+    bench.move(0.0)
+    bench.drive._client._wait = raising(TimeoutError("servo 2 is silent"))
+    with pytest.raises(TimeoutError, match="servo 2"):
+        bench.drive._read("Statusword")
 
 
 @pytest.mark.slow

@@ -255,6 +255,7 @@ def test_the_fingers_are_supervised_while_the_axes_move(bench: Any) -> None:
     with pytest.raises(Exception, match="servo"):
         bench.controller.grasp(GraspStep(pose=Pose(x_m=5e-3), force_n=3.0))
     assert bench.controller.life.state is CellState.ABORTED
+    assert bench.controller.life.status.fault_number == 103
     assert axes["x"].position < 4e-3
     bench.sleep(0.3)
     assert not any(axis.moving for axis in axes.values())
