@@ -76,8 +76,9 @@ def positioner(bench: Any) -> Any:
         SLOW_RACK | {"gripper__force_max_n": 25.0},
         {"gripper__servos": [{"id": 1, "direction": -1}, {"id": 2, "zero_pulse": 1800}]},
         {"tactile__node_id": 127, "tactile__serial_number": 4711},
+        {"tactile__pad_gains": [1.25, 0.8]},
     ],
-    ids=["one servo, rack", "two servos, rack", "mounts", "node"],
+    ids=["one servo, rack", "two servos, rack", "mounts", "node", "gains"],
 )
 def test_cells_of_other_make_grasp_too(make_bench, change) -> None:
     bench = make_bench(quick_config(**change)).ready("box")
