@@ -122,6 +122,8 @@ def _in_page_unit(value: float, unit: str) -> float:
 
 
 def _confusion_lines(answers: Answers) -> list[str]:
+    if confusion_table(answers) is None:
+        return ["No answer about confusions: no identification of a named part."]
     texts = []
     for pair in answers.confusions[:_MOST_CONFUSIONS]:
         cells = ", ".join(f"{cell} {k}" for cell, k in pair.cells.items())

@@ -19,7 +19,8 @@ export function reasonOf({ link, state, taught }, command, any = false) {
   if (!refusal) return command in allowed ? "" : t("why.not_offered");
   if (refusal.number === 515) return t("why.held_by", { names: heldBy.join(", ") });
   if (runs(state.job)) return t("why.state.EXECUTE");
-  if (has(`why.only.${command}`) && !WITH_FAULT.includes(status.state)) return t(`why.only.${command}`);
+  const onHold = command === "verify" && status.state === "HELD"; // then a part may be in the grip
+  if (has(`why.only.${command}`) && !onHold && !WITH_FAULT.includes(status.state)) return t(`why.only.${command}`);
   if (refusal.number === 505 && status.state !== "IDLE") return ofState(status.state);
   if (command === "sort" && refusal.number === 501) return t("why.no_place");
   return taught.length || refusal.number !== 505 ? faultText(refusal) : t("why.not_taught");
@@ -95,7 +96,7 @@ export function setupCommands(view) {
 
   const click = (id, act) => byId(id).addEventListener("click", () => isAllowed(byId(id)) && act());
   click("do_identify", () => view.start({ task: "identify", keep: byId("keep").value }));
-  click("do_grip", () => view.start({ task: "grip", force_n: byId("force").valueAsNumber || 0 }));
+  click("do_grip", () => byId("force").reportValidity() && view.start({ task: "grip", force_n: byId("force").valueAsNumber || 0 }));
   click("do_verify", () => view.start({ task: "verify" }));
   click("do_sort", () => {
     view.tab("sort");
@@ -113,5 +114,6 @@ export function renderCommands(view) {
     byId(`do_${command}`).title = view.state?.allowed?.[command]?.text ?? "";
   }
   allow(byId("do_release"), t("do.release"), t("release.hint"), reasonOf(view, "release"));
+  if (view.info) byId("force").max = view.info.force_cap_n;
   setText(byId("hold").firstElementChild, t("hold.word"));
 }

@@ -16,7 +16,7 @@ function sentences(health) {
       heat: number(most(servos.temperature_c), 0), load: number(100 * (most(servos.load) ?? 0), 0),
     });
   }
-  if (can) add(can.level, can.level === "ok" ? "health.can_well" : "health.can", { lost: can.lost ?? 0, frames: number(can.frames ?? 0), age: number(1000 * (can.age_s ?? 0), 0) });
+  if (can) add(can.level, can.level === "ok" ? "health.can_well" : "health.can", { lost: can.lost ?? 0, frames: number(can.frames ?? 0), age: number(can.age_s == null ? null : 1000 * can.age_s, 0) });
   if (loop) add(loop.level, loop.level === "ok" ? "health.loop_well" : "health.loop", { late: loop.late ?? 0, p99: number(loop.p99_ms, 1) });
   if (drift) add(drift.level, "health.drift", { gain: number(100 * ((drift.gain ?? 1) - 1), 1), opening: number(drift.opening_mm, 2) });
   if (zero?.text) add(zero.level, "health.zero", {});

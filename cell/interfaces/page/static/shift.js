@@ -4,7 +4,7 @@ import { byId, make, renew, setText } from "./dom.js";
 import { labelWord, taskWord } from "./band.js";
 import { shapeWord } from "./held.js";
 import { drawChart, drawPads } from "./measured.js";
-import { clock, clockShort, duration, language, newtons, number, percent, t } from "./words.js";
+import { clock, clockShort, language, newtons, number, percent, t } from "./words.js";
 
 const KEPT = 20;
 let opened = null;
@@ -85,7 +85,7 @@ export async function openGrasp({ link, info }, answer) {
   const dialog = byId("grasp");
   setText(byId("grasp_title"), `${labelWord(answer.label)} – ${percent(answer.probability)}`);
   const facts = [taskWord(answer.task), clock(answer.time_s), t("shift.grasps", { n: answer.n_grasps ?? 0 }),
-    answer.seconds ? duration(answer.seconds) : "", answer.shape ? shapeWord(answer.shape, answer.size_mm) : "",
+    answer.seconds ? `${number(answer.seconds, 1)} s` : "", answer.shape ? shapeWord(answer.shape, answer.size_mm) : "",
     answer.runner_up ? t("shift.second", { label: labelWord(answer.runner_up.label), probability: percent(answer.runner_up.probability) }) : "",
     answer.place ?? ""].filter(Boolean).join(" · ");
   setText(byId("grasp_text"), facts);

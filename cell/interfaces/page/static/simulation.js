@@ -19,6 +19,7 @@ const OWN = " shape";
 let now = null; // the part in the cell
 let faults = null;
 let asking = false;
+let chosenPart = null; // the part that the cell has when the drawer opens first
 
 function slider(name, unit, min, max, value) {
   const range = make("input", { type: "range", min, max, step: unit === "mm" ? 0.5 : 5, value, name });
@@ -51,6 +52,24 @@ function chosen() {
   return `${byId("sim_kind").value}:${values("sim_lengths").map(([name, mm]) => `${name}=${mm}mm`).join(",")}`;
 }
 
+// Set the controls to a part and its pose.
+function take({ part, pose }) {
+  const set = (input, value) => {
+    input.value = value;
+    input.dispatchEvent(new Event("input"));
+  };
+  for (const input of byId("sim_pose").querySelectorAll("input")) set(input, pose[input.name] / SI[POSE[input.name]]);
+  const [kind, lengths] = (part ?? "").split(":");
+  chosenPart = lengths && SHAPES[kind] ? OWN : part;
+  if (chosenPart !== OWN) return;
+  byId("sim_kind").value = kind;
+  renewLengths();
+  for (const [name, mm] of lengths.split(",").map((one) => one.split("="))) {
+    const input = byId("sim_lengths").querySelector(`[name=${name}]`);
+    if (input) set(input, parseFloat(mm));
+  }
+}
+
 function renewLengths() {
   show(byId("sim_shape"), byId("sim_part").value === OWN);
   const kind = byId("sim_kind").value;
@@ -73,7 +92,9 @@ export function setupSimulation(view) {
     if (asking || link.stale) return;
     asking = true;
     try {
+      const first = !now;
       [now, faults] = [await send("GET", "part"), await send("GET", "faults")];
+      if (first) take(now);
     } catch { /* the next look asks again */ } finally {
       asking = false;
     }
@@ -98,8 +119,9 @@ export function setupSimulation(view) {
     pose: Object.fromEntries(values("sim_pose").map(([name, value]) => [name, value * SI[POSE[name]]])),
   }));
   act("sim_begin", () => send("POST", "faults", {
-    fault: byId("sim_fault").value + (byId("sim_value").value.trim() ? `=${byId("sim_value").value.trim()}` : ""),
+    fault: byId("sim_fault").value + (written() ? `=${written()}` : ""),
   }));
+  const written = () => byId("sim_value").value.trim().replace(/^(-?\d+),(\d+)$/, "$1.$2");
   byId("sim_fault").addEventListener("change", () => { byId("sim_value").value = ""; view.changed(); });
   act("sim_reset", () => send("POST", "reset", { lease: link.lease }));
   view.endFault = (fault) => attempt(() => send("DELETE", `faults?fault=${encodeURIComponent(fault)}`)).then(refresh);
@@ -114,7 +136,8 @@ export function renderSimulation(view) {
   const held = reason || (state.status.holding ? t("sim.held") : "");
   setText(byId("sim_placed"), partWord(now.placed ?? "nothing"));
   setText(byId("sim_taken"), partWord(now.part));
-  const kept = byId("sim_part").value;
+  const kept = chosenPart ?? byId("sim_part").value;
+  chosenPart = null;
   renew(byId("sim_part"), now.objects, () => options([
     [IN_TURN, t("sim.in_turn")], ["nothing", t("sim.nothing")], [OWN, t("sim.own")], ...now.objects.map((one) => [one, one])]));
   if (kept && byId("sim_part").value !== kept) byId("sim_part").value = kept;

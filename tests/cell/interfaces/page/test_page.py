@@ -190,6 +190,9 @@ def test_the_page_shows_today_yesterday_the_week_and_what_is_confused(open_page,
     lost = r"400 \(Rejected 3, Faults 1\)"
     named = re.escape(f"Confused: {EVIL} → nut 4×, pin ≈ bolt 2×")
     becomes(page, "#days", rf"^today 0yesterday {lost}this week {lost}{named}$")
+    page.set_viewport_size({"width": 1366, "height": 768})
+    days, last = (page.locator(f"#days{one}").bounding_box() for one in ("", " > :last-child"))
+    assert last["y"] + last["height"] <= days["y"] + days["height"] + 1
     assert fits(page)
 
 
@@ -363,6 +366,9 @@ def test_a_fault_reads_as_text_and_only_a_held_part_is_verified(open_page, cell)
     page = open_page(command=True)
     becomes(page, "#state", "Ready")
     becomes(page, "#do_verify", "only with a part in the grip")
+    cell.changes = {"status": cell.state["status"] | {"state": "HELD", "holding": True}}
+    becomes(page, "#do_verify", "on hold: release first")
+    cell.changes = {}
     places = [page.locator(one).bounding_box() for one in ("#do_verify", "#do_sort")]
     show(page, cell, "named")
     becomes(page, "#do_verify", "still the same part")
@@ -622,6 +628,10 @@ def test_a_trainer_sets_up_a_simulated_cell_in_the_drawer(serve, open_page) -> N
     page.locator("#sim_pose [name=x_m]").fill("1.5")
     click(page, "#sim_put", "#sim_placed", "^box 16 × 10 × 6 mm$")
     assert world.placed[1].x_m == pytest.approx(1.5e-3)
+    second = open_page(address(served), wide=False)
+    click(second, "#simulated", "#sim_part option:checked", "another shape")
+    for control, value in (("#sim_pose [name=x_m]", "1.5"), ("#sim_lengths [name=height]", "6")):
+        assert second.locator(control).input_value() == value
     violations = axe.run(page).response["violations"]
     assert not violations, [(one["id"], one["nodes"][0]["html"]) for one in violations]
     assert fits(page)
