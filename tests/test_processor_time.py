@@ -27,10 +27,3 @@ def test_an_unmarked_test_above_the_limit_fails_and_a_marked_one_passes(pytester
         result = run(pytester)
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines(["*simulate less, or mark it `slow`*", "FAILED *::test_unmarked*"])
-
-
-def test_the_list_has_the_time_of_each_test(pytester) -> None:
-    run(pytester, "--processor-times=times.txt").stdout.fnmatch_lines(["* of processor in 2 tests"])
-    lines = (pytester.path / "times.txt").read_text("utf-8").splitlines()
-    assert [line.rpartition("::")[2] for line in lines] == ["test_unmarked", "test_slow"]
-    assert all(0.0 < float(line.split()[0]) < 1.0 for line in lines)

@@ -22,7 +22,6 @@ from benchmarks import __main__ as command
 from benchmarks.__main__ import MODULES
 from benchmarks.paper.method import KINDS, SOLVERS, claims, column_sums, ramp_surface
 from benchmarks.paper.reproduction import (
-    classify,
     levels_of,
     one_frame,
     press,
@@ -216,15 +215,6 @@ def test_levels_follow_the_force_and_are_missing_without_contact():
     # more force, a higher peak, a smaller eigenvalue
     assert 1e-3 < at_full < at_common < 1e-2
     assert np.isnan(levels_of(one_frame(grasp, 0.0))).all()
-
-
-def test_outcomes_count_names_and_missing_surfaces():
-    taught = np.array([[i, i + 0.2] for i in range(1, 6)], dtype=float)
-    tested = np.array([[i + 0.1, i + 0.9] for i in range(1, 6)], dtype=float)
-    tested[4, 1] = np.nan
-    counts = classify([taught], [tested]).counts
-    assert counts[:, -1].tolist() == [0, 0, 0, 0, 1]
-    assert (np.trace(counts), counts.sum()) == (5, 10)
 
 
 # -- Comparators: features of patches and curves of known form, and the command on a data set ------

@@ -163,7 +163,6 @@ CAN = PORT + "tactile: {interface: socketcan, channel: can0}\n"
         ("name: a\nseed: \0\n", ["not YAML 1.2: unacceptable character #x0000"]),
         ("name: cell: left\n", ["cell.yaml:1:11: not YAML 1.2: mapping values are not allowed"]),
         ("name: a\nname: b\n", ["cell.yaml:2:1: not YAML", 'found duplicate key "name"']),
-        ("name: a\n---\nname: b\n", ["cell.yaml:2:1: not YAML 1.2: ", "found another document"]),
         (
             "gripper: {pads_meet: yes}\n",
             ["gripper.pads_meet: Input should be a valid boolean (found: 'yes')"],
@@ -175,7 +174,6 @@ CAN = PORT + "tactile: {interface: socketcan, channel: can0}\n"
         ('name: "\\e[2Jempty screen"', ["cannot be printed"]),
         ('gripper: {port: "/dev/\\x9b"}', ["cannot be printed"]),
         ("serve: {hosts: ['cell.lan:80']}", ["'cell.lan:80' is not a host name"]),
-        ("serve: {hosts: ['']}", ["'' is not a host name"]),
         ("serve: {listen: 0.0.0.0}", ["serve.listen is 0.0.0.0 and serve.allow is empty"]),
         ("serve: {listen: localhost}", ["serve.listen: 'localhost' does not appear to be an IPv4"]),
         ("serve: {allow: [everyone]}", ["serve.allow.0: 'everyone' does not appear to be an IPv4"]),

@@ -1,7 +1,6 @@
 """The command line: its commands, what they write, exit codes; the terminal and its signals."""
 
 import contextlib
-import importlib.metadata
 import io
 import json
 import os
@@ -9,7 +8,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -25,7 +23,6 @@ from cell.commissioning.engine import WizardAborted, leave
 from cell.commissioning.findings import Finding, ProposedChange, Verdict
 from cell.config.file import changed_config, config_text, load_config, schema_text
 from cell.config.model import CellConfig
-from cell.control.positioner import PatientCaller
 from cell.control.records import GraspRecord
 from cell.control.states import CellState
 from cell.errors import (
@@ -645,10 +642,6 @@ def test_a_signal_stops_the_job_and_keeps_grip_recording_and_what_was_grasped(
         assert "recording.mcap: use it with `tactile-cell model train`" in said
 
 
-def test_the_version_is_printed() -> None:
-    assert call("--version") == f"tactile-cell {importlib.metadata.version('tactile-cell')}\n"
-
-
 HEAVY = {"numpy", "scipy", "matplotlib", "canopen", "can", "rich", "serial", "joblib"}
 """Not pydantic: newer versions of typer load it themselves."""
 
@@ -916,13 +909,6 @@ def test_a_stop_does_not_wait_for_whoever_moves_the_object(make_bench) -> None:
         if thread.name == "positioner":
             thread.join(LIMIT_S)
     bench.controller.moves.present("ball")
-
-
-def test_what_a_call_returns_or_raises_comes_back_from_its_thread() -> None:
-    caller = PatientCaller(time, 0.001)
-    with pytest.raises(ZeroDivisionError):
-        caller.call(lambda: 1 // 0, lambda: None)
-    assert caller.call(lambda: 7, lambda: None) == 7
 
 
 def test_an_answer_from_a_pipe_is_read_line_by_line(monkeypatch, capsys) -> None:

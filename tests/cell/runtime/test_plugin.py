@@ -43,7 +43,7 @@ from cell.runtime.goals import GripGoal, IdentifyGoal, SortGoal, TeachGoal, Veri
 from cell.runtime.health import health_values
 from cell.runtime.lease import Lease
 from cell.runtime.plugin import TactileCellPlugin
-from cell.runtime.tasks import Places, SortAnswer, simulated_feed
+from cell.runtime.tasks import Places, SortAnswer
 from cell.runtime.worker import JOB_SILENT_S, CellWorker, Job, JobFailed, JobOutcome, Report
 from gripper.errors import ServoFault, VerificationFailed
 from recognition.recognizer import UNKNOWN
@@ -716,13 +716,6 @@ def test_places_are_checked_before_anything_is_sorted(taught: Any) -> None:
     posed = changed_config(taught.config, {"sort.places": [entry, BINS[1]]})
     pose = Places(posed, ("ball", "box")).of("ball").pose
     assert (pose.x_m, pose.rotation_rad) == pytest.approx((0.12, 1.5708), abs=1e-4)
-
-
-def test_the_simulated_feed_has_each_kind_as_often(taught: Any) -> None:
-    feed = simulated_feed(taught.config, 20)
-    assert {label: feed.count(label) for label in feed} == {"ball": 10, "box": 10}
-    assert feed != sorted(feed)
-    assert feed == simulated_feed(taught.config, 20)
 
 
 # -- The thread of a cell with its jobs; a host that falls silent; the levels of health ------------
