@@ -368,7 +368,9 @@ def fault_of(error: BaseException) -> Fault:
     kind = next((kind for kind in type(error).__mro__ if kind in CATALOGUE), Exception)
     cause = error.__cause__
     by_axis = isinstance(cause, motion.MotionError) and not isinstance(error, motion.MotionError)
-    if cause is not None and (by_axis or kind is cell.CellError):
+    # A plain CellError names the file that was wrong; its cause is an error of Python.
+    reports = kind is cell.CellError and type(error) is not cell.CellError
+    if cause is not None and (by_axis or reports):
         return fault_of(cause)
     return CATALOGUE[kind]
 

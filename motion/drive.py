@@ -196,7 +196,7 @@ class Cia402Drive(Axis):
                 "node-ID"
             )
         state = self._state()
-        words = f"{state}, position {self.read_increments()} increments"
+        words = f"{state}, position {self._read('Position actual value')} increments"
         if state == "FAULT":
             words += f", {od.error_code_text(self._read('Error code'))}"
         self._watch.pause(POLL_S)

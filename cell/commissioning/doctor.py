@@ -96,8 +96,13 @@ def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Fin
         yield from check_port(key, port)
     named = "" if config_file is None else f" --config {quote(str(config_file))}"
     yield _self_zero(config, named)
-    yield _drives(config, named)
-    earlier = Commissioning.in_folder(config_file.parent) if config_file else Commissioning()
+    earlier = Commissioning()
+    try:
+        if config_file is not None:
+            earlier = Commissioning.in_folder(config_file.parent)
+    except CellError as error:
+        yield check_result("commissioning", str(error), "its values are not compared")
+    yield _drives(config, named, earlier)
     yield from _devices(config, named, earlier)
 
 
@@ -126,7 +131,7 @@ def _self_zero(config: CellConfig, named: str) -> Finding:
     )
 
 
-def _drives(config: CellConfig, named: str) -> Finding:
+def _drives(config: CellConfig, named: str, earlier: Commissioning) -> Finding:
     """Return the measured characteristics of the servos' drives, beside the catalogue."""
     zeros = stored_zeros(config, Path(config.recording.directory), new_hand=False)
     texts, advice, disagrees = list[str](), "", False
@@ -144,7 +149,7 @@ def _drives(config: CellConfig, named: str) -> Finding:
     if disagrees:
         advice = (
             "pads and motor constant disagree: press a known weight on the pads with "
-            "`tactile-cell commission --redo pads_law`"
+            f"`{earlier.command} --redo pads_law`"
         )
     return check_result("servo drives", "; ".join(texts), advice, ok=not advice)
 
@@ -256,8 +261,8 @@ def _control_unit(
         identity = hand.start_sensor()
     except IdentityMismatch as error:
         advice = (
-            "check which unit and pads are plugged in; for new ones `tactile-cell commission "
-            "--redo unit` in the folder of the commissioning"
+            "check which unit and pads are plugged in; for new ones "
+            f"`{earlier.command} --redo unit`"
         )
         return [check_result("control unit", str(error), advice, bad=Verdict.FAIL)]
     readings = [hand.read_sensor(timeout_s=1.0) for _ in range(10)]

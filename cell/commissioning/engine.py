@@ -19,7 +19,7 @@ from cell.commissioning.findings import STORE_NAME, Notes, ProposedChange, read_
 from cell.config.file import config_text, schema_text
 from cell.errors import CellError
 from cell.fault_catalogue import EXPECTED_ERRORS, error_text
-from cell.files import COMMISSIONING, write_json, write_text
+from cell.files import COMMISSIONING, free_name, write_json, write_text
 
 RECORD_NAME = "commissioning.md"
 """File in the cell's folder: each step, finding, value and write, to sign and file."""
@@ -174,7 +174,8 @@ class Engine:
     def redo(self, key: str) -> tuple[str, ...]:
         """Forget a step and all that need it; return their keys.
 
-        Raises CellError if the step does not exist.
+        The file forgets them with the next finding, or the next approved write. Raises CellError if
+        the step does not exist.
         """
         keys = [step.key for step in self.steps]
         if key not in keys:
@@ -185,7 +186,7 @@ class Engine:
                 affected.add(step.key)
         for name in affected:
             self.notes.pop(name, None)
-        self._store()
+        self._fill_bench()
         return tuple(name for name in keys if name in affected)
 
     def run(self, dialog: Dialog) -> tuple[Path, ...]:
@@ -207,6 +208,11 @@ class Engine:
             "tactile-cell.schema.json": schema_text(),
             RECORD_NAME: self.record(),
         }
+        config = self.bench.folder / CONFIG_NAME
+        if config.exists() and (before := config.read_text("utf-8")) != texts[CONFIG_NAME]:
+            kept = free_name(config)
+            write_text(kept, before, error=CellError, what="earlier config")
+            dialog.say(f"{CONFIG_NAME} changes; the earlier one with its comments is {kept}")
         for name, text in texts.items():
             write_text(self.bench.folder / name, text, error=CellError, what=name)
         return tuple(self.bench.folder / name for name in texts)
@@ -240,15 +246,16 @@ class Engine:
         def log(writes: Sequence[ProposedChange]) -> None:
             at = _now()
             self.approved += [replace(write, step=step.key, at=at) for write in writes]
-            self._store()
+            self.store()
 
         dialog.log = log
         notes = carry_out(step, self.bench, dialog)
         self.notes[step.key] = notes
-        self._store()
+        self.store()
         dialog.show(step, notes)
 
-    def _store(self) -> None:
+    def store(self) -> None:
+        """Write commissioning.json. Raises CellError if it cannot be written."""
         content = {"steps": self.notes, "approved": self.approved}
         write_json(self.path, COMMISSIONING, content, error=CellError)
         self._fill_bench()
@@ -259,7 +266,7 @@ class Engine:
         self.bench.values = {key: notes.values for key, notes in self.notes.items()}
 
 
-RESUME = "The findings are kept; the same command continues with this step"
+RESUME = "The findings are kept; the same command without --redo continues with this step"
 """How a person resumes a commissioning that was left."""
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from cell.errors import CellError
+from cell.errors import CellError, raised_as
 from cell.files import COMMISSIONING, read_json
 
 STORE_NAME = "commissioning.json"
@@ -139,4 +139,5 @@ def read_commissioned(path: Path) -> Commissioned:
     Raises CellError if it is damaged or of another format.
     """
     content = read_json(path, COMMISSIONING, error=CellError) or {"steps": {}, "approved": []}
-    return TypeAdapter(Commissioned).validate_python(content)
+    with raised_as(CellError, ValueError, where=f"{path} is damaged; move it away, or restore it"):
+        return TypeAdapter(Commissioned).validate_python(content)

@@ -54,6 +54,7 @@ _LAST_PERIODS = 20
 
 _LEFT = (WizardAborted, KeyboardInterrupt)
 """Errors of a person who leaves."""
+_KEPT = "The fingers keep their grip: take hold of the part; the step first asks to open them"
 _TICK_S = 0.08
 """Time in s of grip control between two checks of the person's answer."""
 
@@ -370,13 +371,13 @@ def _watched_hand(
     trial = _Trial(bench, config, dialog, notes, hand)
     try:
         yield trial
-    except _LEFT as left:
+    except BaseException as error:
         if hand.phase in (GripperPhase.OFF, GripperPhase.IDLE):
             raise
-        raise WizardAborted(
-            f"{str(left) or f'left. {RESUME}'}. The fingers keep their grip: take hold of the "
-            "part; the step first asks to open them"
-        ) from None
+        if not isinstance(error, _LEFT):
+            notes.warn(_KEPT)
+            raise
+        raise WizardAborted(f"{str(error) or f'left. {RESUME}'}. {_KEPT}") from None
     finally:
         try:
             hand.shutdown()

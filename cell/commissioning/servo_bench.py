@@ -20,7 +20,7 @@ from scipy.signal import lfilter
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, StepFailed
 from cell.commissioning.servos import lone_servo
-from cell.errors import CellError
+from cell.errors import CellError, raised_as
 from cell.files import SERVO_BENCH, free_name, write_json, write_text
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
@@ -604,6 +604,12 @@ def run_bench(rig: Rig, dialog: Dialog, folder: Path) -> tuple[Path, ...]:
     """
     values: Values = {}
     done: list[str] = []
+    with raised_as(CellError, OSError, where=f"cannot make the folder {folder}"):
+        folder.mkdir(parents=True, exist_ok=True)
+    log = folder / f"servo-bench-{rig.model.name.lower()}-id{rig.servo_id}.csv"
+    if log.exists() or log.with_suffix(".json").exists():
+        log = free_name(log)
+    _write(rig, values, done, log)  # a full disk ends it before an hour of measurements
     try:
         for number, (step, (title, minutes)) in enumerate(STEPS.items(), start=1):
             key, text = step.__name__, " ".join((step.__doc__ or "").split())
@@ -625,14 +631,11 @@ def run_bench(rig: Rig, dialog: Dialog, folder: Path) -> tuple[Path, ...]:
     finally:
         for line in findings(rig.model, values):
             dialog.say(line)
-        files = _write(rig, values, done, folder)
+        files = _write(rig, values, done, log)
     return files
 
 
-def _write(rig: Rig, values: Values, done: Sequence[str], folder: Path) -> tuple[Path, ...]:
-    folder.mkdir(parents=True, exist_ok=True)
-    name = f"servo-bench-{rig.model.name.lower()}-id{rig.servo_id}"
-    log = free_name(folder / f"{name}.csv")
+def _write(rig: Rig, values: Values, done: Sequence[str], log: Path) -> tuple[Path, ...]:
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow(Reading._fields)

@@ -63,6 +63,10 @@ def test_a_cell_that_was_commissioned_is_compared_with_it(tmp_path) -> None:
     ]
     assert (changed.what, changed.text) == ("control unit", "serial 1, at commissioning serial 7")
     assert f"`tactile-cell commission {tmp_path} --redo unit` repeats" in changed.advice
+    (tmp_path / "commissioning.json").write_text("{")
+    findings = by_name(list(examine(CellConfig(), tmp_path / "tactile-cell.yaml")))
+    assert findings["commissioning"].verdict is WARN
+    assert findings["servo torque"].verdict is PASS
 
 
 EARLIER = Commissioning(

@@ -12,7 +12,7 @@ from cell.commissioning.bench import Bench, LineOpener
 from cell.commissioning.engine import StepFailed, WizardAborted
 from cell.commissioning.servo_bench import STEPS, Rig, open_rig, run_bench
 from cell.config.gripper import measured_drive
-from cell.errors import ConfigError
+from cell.errors import CellError, ConfigError
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import MODELS, XL330_M288, XM430_W350
@@ -147,7 +147,12 @@ def test_a_servo_that_trips_is_found(tmp_path: Path) -> None:
 def test_each_step_can_be_left_out_and_each_reading_is_in_the_log(tmp_path: Path) -> None:
     bench = SimulatedBench()
     script = person(bench, "velocity")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(CellError, match="cannot make the folder"):
+        run_bench(bench.rig, script, tmp_path / "file")
+    assert not script.asked
     log, _ = run_bench(bench.rig, script, tmp_path)
+    assert log.name == "servo-bench-xm430-w350-id1.csv"
     assert [key.partition(".")[0] for key in script.asked if key.endswith("begin")] == [
         step.__name__ for step in STEPS
     ]

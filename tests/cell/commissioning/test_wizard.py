@@ -45,7 +45,7 @@ from cell.config.model import CellConfig
 from cell.config.tactile import TactileConfig
 from cell.control.zeroing import stored_zeros
 from cell.errors import CellError, ConfigError
-from cell.files import SERVO_BACKUP, SERVO_BENCH, write_json
+from cell.files import COMMISSIONING, SERVO_BACKUP, SERVO_BENCH, write_json
 from cell.interfaces.cli.app import app
 from cell.simulation import simulator_settings
 from gripper.errors import GripperError, PortLost
@@ -286,6 +286,14 @@ def test_a_person_stops_a_motion_while_it_runs(quiet, asked, look, kept, error) 
     assert quiet.person.script.asked[-1] == asked
     # Fingers that close may touch a part: they stand where they are until a person lets it go.
     assert quiet.torques == [kept, kept]
+
+
+def test_a_fault_while_the_part_is_held_says_so(quiet) -> None:
+    quiet.ends(
+        FAIL, FIRST_FORCE, "the adapter", "The fingers keep their grip: take hold of the part",
+        first_force__release=lambda: quiet.cell.inject("can.unplugged"),
+    )  # fmt: skip
+    assert min(quiet.cell.world.contact_force_n()) > 0.5
 
 
 def test_fingers_that_find_no_part_fail_the_step(quiet) -> None:
@@ -893,9 +901,9 @@ def test_redo_forgets_a_step_and_all_that_need_it_and_what_they_corrected(tmp_pa
     engine.run(Script())
     assert engine.corrected == ["ports was wrong", "servos was wrong"]
     assert engine.redo("servos") == ("servos", "force")
-    again = Engine(steps(), Bench(tmp_path))
-    assert (list(again.notes), again.corrected) == (["ports", "unit"], ["ports was wrong"])
-    again.run(script := Script())
+    assert (list(engine.notes), engine.corrected) == (["ports", "unit"], ["ports was wrong"])
+    assert len(Engine(steps(), Bench(tmp_path)).notes) == 4  # who leaves now has lost nothing
+    engine.run(script := Script())
     assert script.asked == ["servos.q", "force.q"]
     with pytest.raises(CellError, match="the steps are ports, servos, unit, force"):
         engine.redo("wheels")
@@ -930,10 +938,11 @@ def test_a_line_that_is_lost_fails_the_step_which_keeps_what_it_has_found(tmp_pa
     assert (finding.values, finding.settings) == ({"force_n": 1.0}, {})
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[1]"])
-def test_a_damaged_store_is_named_and_kept(tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize("text", ["", "{}", "[1]", None])
+def test_a_damaged_store_is_named_and_kept(tmp_path: Path, text: str | None) -> None:
     path = tmp_path / STORE_NAME
-    path.write_text(text)
+    write_json(path, COMMISSIONING, {"steps": 3, "approved": []}, error=CellError)
+    path.write_text(text := path.read_text() if text is None else text)
     with pytest.raises(CellError, match="move it away"):
         Engine(steps(), Bench(tmp_path))
     assert path.read_text() == text
@@ -958,6 +967,10 @@ def test_the_command_goes_on_where_it_was_left_and_writes_config_and_record(
     assert done.exit_code == 0, done.output
     assert f"{tmp_path}/{RECORD_NAME}" in done.stdout
     assert load_config(tmp_path / CONFIG_NAME).gripper.baud_rate == 2000000
+    (other := tmp_path / "other.yaml").write_text("name: other\ngripper: {port: simulated}\n")
+    refused = CliRunner().invoke(app, [*command, "--config", str(other)])
+    assert refused.exit_code == 1
+    assert "leave out --config" in " ".join(str(refused.exception or refused.output).split())
 
 
 @pytest.mark.slow
@@ -967,10 +980,11 @@ def test_what_users_wrote_into_the_config_stays(tmp_path: Path) -> None:
     config = load_config(path)
     assert config.positioner.kind == "operator"
     changes = {"gripper.force_max_n": 20.0, "name": "cell 7", "gripper.baud_rate": 4000000}
-    path.write_text(config_text(changed_config(config, changes)))
+    path.write_text(written := config_text(changed_config(config, changes)) + "# signed\n")
     again = Engine(steps(), Bench(tmp_path))
     again.redo("servos")
     again.run(Script())
+    assert path.with_name("tactile-cell.1.yaml").read_text() == written
     config_after = load_config(path)
     assert (config_after.gripper.force_max_n, config_after.name) == (20.0, "cell 7")
     # What a step has found is as it was found.

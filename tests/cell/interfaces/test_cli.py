@@ -778,7 +778,7 @@ def test_a_watched_value_does_not_hold_up_a_pipe(typed) -> None:
 
 @pytest.mark.parametrize("lines", [["q"], []])
 def test_q_and_the_end_of_input_leave(typed, lines) -> None:
-    with pytest.raises(WizardAborted, match="the same command continues with this step"):
+    with pytest.raises(WizardAborted, match="the same command without --redo continues"):
         typed(*lines).choose("q", "?", CHOICES)
 
 

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from cell.commissioning.bench import Bench
+from cell.commissioning.bench import CONFIG_NAME, Bench
 from cell.commissioning.engine import (
     RESUME,
     Answers,
@@ -26,6 +26,7 @@ from cell.commissioning.servo_bench import open_rig, run_bench
 from cell.commissioning.servos import restore as restore_servos
 from cell.commissioning.walk import all_steps
 from cell.config.file import load_config
+from cell.errors import ConfigError
 from cell.interfaces.cli.signals import as_interrupts
 from cell.interfaces.cli.terminal import ask, out, plain_text, print_line, print_note
 
@@ -225,6 +226,12 @@ def commission(
     given = {} if servo_port is None else {"gripper.port": servo_port}
     if can is not None:
         given["tactile.interface"], _, given["tactile.channel"] = can.partition(":")
+    own = folder / CONFIG_NAME
+    if config is not None and own.exists() and not own.samefile(config):
+        raise ConfigError(
+            f"{own} exists, and --config would replace its values by those of {config}: leave out "
+            "--config, or move the file away to begin anew"
+        )
     base = None if config is None else load_config(config)
     if base is not None and not base.simulated:
         given = {
@@ -235,6 +242,11 @@ def commission(
     bench = Bench(folder, given=given, base=base)
     engine = Engine(all_steps(), bench)
     dialog = TerminalDialog()
+
+    def begin_again() -> None:
+        engine.redo("servos")
+        engine.store()
+
     try:
         with as_interrupts():
             if restore:
@@ -242,7 +254,7 @@ def commission(
                     bench,
                     dialog,
                     servo_port or bench.gripper().port,
-                    begin=lambda: engine.redo("servos"),
+                    begin=begin_again,
                 )
                 for line in lines:
                     print_line(line)
