@@ -28,7 +28,7 @@ from cell.control.positioner import (
 )
 from cell.control.records import pad_array
 from cell.control.zeroing import stored_zeros
-from cell.errors import CellStateError, ConfigError, RecordingError
+from cell.errors import ConfigError, RecordingError
 from cell.hand.client import HandProcess
 from cell.hand.connections import HandConnections
 from cell.hand.interface import Hand
@@ -117,13 +117,6 @@ class Cell:
         """Raise RecordingError if the recording has stopped."""
         if fault := self.recording_fault:
             raise RecordingError(fault)
-
-    @property
-    def local_hand(self) -> LocalHand:
-        """The hand of a cell whose loop runs in this process, for tests; else CellStateError."""
-        if not isinstance(self.controller.hand, LocalHand):
-            raise CellStateError("the force loop runs in a process of its own; see `hand`")
-        return self.controller.hand
 
     def health(self) -> dict[str, Any]:
         """Return the counters of both links, the loop and faults."""

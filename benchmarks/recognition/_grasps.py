@@ -1,40 +1,23 @@
 """Grasps that recognition is measured on, and how right the answers to them are as text."""
 
-import os
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
 import numpy as np
 
 from benchmarks._measure import share
-from benchmarks.paper.reproduction import PAPER_NOISE, random_grasp
 from cell.build import build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.recording.dataset import read_dataset
 from cell.runtime.tasks import Collection
 from cell.simulation import simulator_settings
 from recognition.evaluation.evaluation import interval_by_object
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Recognizer
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
-from simulator.world.shapes import PAPER_OBJECTS
-
-
-def grasps_at_hand(n_grasps: int) -> list[Grasp]:
-    """Return `pinch36.npz` of the folder in TACTILE_CELL_DATA.
-
-    Without it, simulated grasps of the paper's objects in random poses, ``n_grasps`` of each.
-    """
-    path = Path(os.environ.get("TACTILE_CELL_DATA", "no folder"), "pinch36.npz")
-    if path.exists():
-        return list(read_dataset(path))
-    rng, numbers = np.random.default_rng(0), range(n_grasps)
-    return [random_grasp(x, rng, PAPER_NOISE, start_ms=i) for x in PAPER_OBJECTS for i in numbers]
 
 
 def cell_grasps(

@@ -171,11 +171,11 @@ class Engine:
         done = (self.notes[step.key] for step in self.steps if step.key in self.notes)
         return [line for notes in done for line in notes.corrected]
 
-    def redo(self, key: str) -> tuple[str, ...]:
+    def redo(self, key: str, *, store: bool = False) -> tuple[str, ...]:
         """Forget a step and all that need it; return their keys.
 
-        The file forgets them with the next finding, or the next approved write. Raises CellError if
-        the step does not exist.
+        Without ``store`` the file forgets them with the next finding, or the next approved write.
+        Raises CellError if the step does not exist.
         """
         keys = [step.key for step in self.steps]
         if key not in keys:
@@ -186,6 +186,8 @@ class Engine:
                 affected.add(step.key)
         for name in affected:
             self.notes.pop(name, None)
+        if store:
+            self._store()
         self._fill_bench()
         return tuple(name for name in keys if name in affected)
 
@@ -246,16 +248,15 @@ class Engine:
         def log(writes: Sequence[ProposedChange]) -> None:
             at = _now()
             self.approved += [replace(write, step=step.key, at=at) for write in writes]
-            self.store()
+            self._store()
 
         dialog.log = log
         notes = carry_out(step, self.bench, dialog)
         self.notes[step.key] = notes
-        self.store()
+        self._store()
         dialog.show(step, notes)
 
-    def store(self) -> None:
-        """Write commissioning.json. Raises CellError if it cannot be written."""
+    def _store(self) -> None:
         content = {"steps": self.notes, "approved": self.approved}
         write_json(self.path, COMMISSIONING, content, error=CellError)
         self._fill_bench()

@@ -75,9 +75,9 @@ class CanWire:
         return sum(len(burst.waiting) for queue in self._queues.values() for burst in queue)
 
     @property
-    def n_of_host(self) -> int:
-        """Number of the host's messages that wait."""
-        return len(self._queues.get(_HOST, ()))
+    def host_is_full(self) -> bool:
+        """Whether as many messages of the host wait as its adapter holds."""
+        return len(self._queues.get(_HOST, ())) >= _OUTBOX_LIMIT
 
     def put(
         self, ready_s: float, can_id: int, burst: Sequence[bytes], *, from_host: bool = False
@@ -210,7 +210,7 @@ class CanLink:
 
         Raises can.CanOperationError if the adapter is full.
         """
-        if self._wire.n_of_host >= _OUTBOX_LIMIT:
+        if self._wire.host_is_full:
             raise can.CanOperationError("the transmit buffer of the adapter is full")
         self._wire.put(now_s, can_id, (data,), from_host=True)
         if not self.faults.bus_off:

@@ -576,10 +576,8 @@ def test_a_stopped_drive_beats_on_and_answers_no_sdo(drive: Any) -> None:
 def test_what_is_set_up_is_read_back(drive: Any) -> None:
     drive.device._set_up()
     settings = drive.device.settings
-    low, _ = settings.limits
-    assert drive.device._read("Software position limit.Min position limit") == (
-        low - drive.device._home_count
-    )
+    low = settings.limits[0] - drive.device._home_count
+    assert drive.device._read("Software position limit.Min position limit") == low
     assert drive.device._read("Profile velocity") == settings.counts(settings.velocity)
     assert drive.device._read("Quick stop option code") == motion_od.STAY_IN_QUICK_STOP
 

@@ -249,7 +249,7 @@ class InvariantMonitor:
         free = self._asked or not all(self._torque) or self._world_pushes(now_s)
         if free or self._cell is None or force_n < self._contact_force_n:
             return
-        if not self._cell.local_hand.gripper._life.part_possible:
+        if not self._cell.controller.hand.gripper._life.part_possible:
             self._break(f"the fingers open by themselves on a part pressed with {force_n:.2f} N")
 
     def _look_at_goals(self, controller: CellController) -> None:
@@ -367,7 +367,7 @@ class InvariantMonitor:
 
 def link_counters(cell: Cell) -> list[tuple[int, ...]]:
     """Return the counters of both links; `Cell.health` gives the same, too slowly for each step."""
-    hand = cell.local_hand
+    hand = cell.controller.hand
     link = hand.sensor.source.statistics
     owners = (link.frames, link, link.forces, hand.sensor.statistics, hand.bus.statistics)
     return [read(owner) for read, owner in zip(_COUNTERS, owners, strict=True)]

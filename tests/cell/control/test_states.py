@@ -109,7 +109,7 @@ class Walk:
             self.controller.life.fault,
             self.controller.hand.phase,
             self.controller.life.cancelled,
-            repr(self.bench.cell.local_hand.bus.statistics),
+            repr(self.bench.cell.controller.hand.bus.statistics),
             self.bench.simulated.clock.monotonic(),
         )
 

@@ -318,11 +318,8 @@ def test_figures_tables_and_files_of_a_run(recording, report, taught) -> None:
     # The tables are those that the job counts and prints.
     tables = report.sections["result"]["tables"]
     for table, counted in zip(tables, taught.result.scores.values(), strict=True):
-        assert (table.name, table.labels, table.text) == (
-            counted.name,
-            counted.labels,
-            counted.text,
-        )
+        assert (table.name, table.labels) == (counted.name, counted.labels)
+        assert table.text == counted.text
     answers = list(answers_of(recording, taught.config))
     for one, part, trial in zip(answers, taught.result.parts, taught.result.trials, strict=True):
         assert (one.held, one.label) == (part.presented, part.label)

@@ -582,7 +582,7 @@ def test_the_force_of_the_grasps_is_the_hosts(make_plugin, taught) -> None:
 def test_after_a_part_was_let_go_the_zero_is_compared_with_new_frames(make_plugin, monkeypatch):
     plugin = make_plugin()
     done(plugin, GripGoal(force_n=3.0, present="box"))
-    sensor = plugin.cell.local_hand.sensor
+    sensor = plugin.cell.controller.hand.sensor
     drifted = Mock(side_effect=[ZeroDrifted("the fingers still touch"), None])
     monkeypatch.setattr(sensor, "check_zero", drifted)
     monkeypatch.setattr(sensor, "refresh", renewed := Mock())

@@ -166,9 +166,8 @@ def test_what_follows_the_release_is_left_out(train):
     before, after = (load_levels([g], rest) for g in (whole, let_go))
     for one, other in zip(before.maps, after.maps, strict=True):
         assert other[0, -1] == pytest.approx(one[0, -1], abs=0.1 * one.max())
-    assert learn_rest([part(g, np.r_[0:n, n - 1 : -1 : -1]) for g in train]).gripping == (
-        rest.gripping
-    )
+    turned = [part(g, np.r_[0:n, n - 1 : -1 : -1]) for g in train]
+    assert learn_rest(turned).gripping == rest.gripping
 
 
 def test_a_spike_of_one_frame_is_no_load(rest, train):

@@ -427,10 +427,8 @@ def trip(pressing):
 def test_a_trip_holds_the_present_position(pressing):
     trip(pressing)
     command = pressing.motors[0].command
-    assert (command.mode, command.current_a) == (
-        OperatingMode.CURRENT_BASED_POSITION,
-        pytest.approx(0.269),
-    )
+    assert command.mode is OperatingMode.CURRENT_BASED_POSITION
+    assert command.current_a == pytest.approx(0.269)
     held = pressing.motors[0].angle_rad
     pressing.forces_n = (0.0, 0.0)
     pressing.clock.sleep(0.5)

@@ -242,11 +242,6 @@ def commission(
     bench = Bench(folder, given=given, base=base)
     engine = Engine(all_steps(), bench)
     dialog = TerminalDialog()
-
-    def begin_again() -> None:
-        engine.redo("servos")
-        engine.store()
-
     try:
         with as_interrupts():
             if restore:
@@ -254,7 +249,7 @@ def commission(
                     bench,
                     dialog,
                     servo_port or bench.gripper().port,
-                    begin=begin_again,
+                    begin=lambda: engine.redo("servos", store=True),
                 )
                 for line in lines:
                     print_line(line)
