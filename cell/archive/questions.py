@@ -289,6 +289,7 @@ def _needs(rows: pa.Table, parts: Sequence[Row]) -> list[ObjectNeed]:
         here = [part for part in parts if part["label"] == label]
         n_parts = sum(part["count_all"] for part in here)
         n_right = sum(part["count_all"] for part in here if part["answer"] == part["truth"])
+        grasps = sum(part["part_grasps_sum"] for part in here)
         low, high = wilson_interval(n_right, n_parts)
         reasons = []
         if row["count_all"] < _FEW_GRASPS:
@@ -304,9 +305,7 @@ def _needs(rows: pa.Table, parts: Sequence[Row]) -> list[ObjectNeed]:
                 n_parts=n_parts,
                 n_right=n_right,
                 interval=(low, high),
-                grasps_per_part=sum(part["part_grasps_sum"] for part in here) / n_parts
-                if n_parts
-                else float("nan"),
+                grasps_per_part=grasps / n_parts if n_parts else float("nan"),
                 reasons=tuple(reasons),
             )
         )

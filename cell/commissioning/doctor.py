@@ -260,10 +260,7 @@ def _control_unit(
     try:
         identity = hand.start_sensor()
     except IdentityMismatch as error:
-        advice = (
-            "check which unit and pads are plugged in; for new ones "
-            f"`{earlier.command} --redo unit`"
-        )
+        advice = f"check unit and pads; for new ones `{earlier.command} --redo unit`"
         return [check_result("control unit", str(error), advice, bad=Verdict.FAIL)]
     readings = [hand.read_sensor(timeout_s=1.0) for _ in range(10)]
     frames = np.stack([reading.frame.counts for reading in readings])

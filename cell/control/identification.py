@@ -223,7 +223,9 @@ class Judge:
         """Return the answer to a grasp; may run on its own thread."""
         posterior = record.early or self.recognizer.posterior(record.grasp)
         try:
-            shape = None if self.read_shape is None else self.read_shape(record.grasp)
+            # Closed fingers press a small part deeper than the fit can follow.
+            read = None if record.outcome.short else self.read_shape
+            shape = None if read is None else read(record.grasp)
         except Exception as error:
             return posterior, None, error
         return posterior, shape, None

@@ -50,7 +50,7 @@ def spread(work: Callable[[_Item], _Result], items: Sequence[_Item], /) -> Itera
         yield from joblib.Parallel(return_as="generator")(tasks)
     except BrokenProcessPool as error:
         raise CellError(
-            "a process ended at its work, probably by lack of memory: use fewer --jobs"
+            "a process ended at its work, probably by lack of memory: use fewer grasps or --jobs"
         ) from error
 
 

@@ -261,8 +261,10 @@ class DriftGrid(ArrayRecord):
 
     @property
     def likely(self) -> bool:
-        """Whether grasps have shown a drift."""
-        return self.n_followed + self.n_gauged > 0 and self.unchanged < 1.0 - _LIKELY
+        """Whether grasps have shown a drift, also where none was unlikely from the beginning."""
+        before = 0.5 if self.zero is not None else type(self)(prior=self.prior).unchanged
+        least = (1.0 - _LIKELY) * min(1.0, 2.0 * before)
+        return self.n_followed + self.n_gauged > 0 and self.unchanged < least
 
     @property
     def _none(self) -> tuple[int, int]:

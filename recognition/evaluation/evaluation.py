@@ -107,9 +107,9 @@ def interval_by_object(right: Sequence[bool], objects: Sequence[str]) -> tuple[f
     """Return the 95 % interval of a share by a bootstrap of objects (cluster bootstrap).
 
     Where all grasps are right, or all wrong, it is Wilson's with one trial for each object. (0, 1)
-    without grasps.
+    without grasps, or for different results of one object.
     """
-    if not right:
+    if not right or len(set(right)) > len(set(objects)):
         return 0.0, 1.0
     weights = object_weights(objects)
     if len(set(right)) < 2:
@@ -341,7 +341,7 @@ def _leave_out(
 ) -> list[_Scores]:
     """Return the scores for each group of left-out labels."""
     labels = sorted({g.label for g in train})
-    if len(labels) < MIN_LABELS_FOR_UNKNOWN:
+    if min(len(labels), len({g.label for g in test})) < MIN_LABELS_FOR_UNKNOWN:
         return []
     n_groups = min(n_groups, len(labels))
     groups = [frozenset(labels[group::n_groups]) for group in range(n_groups)]

@@ -16,6 +16,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
 
 from simulator.errors import SimulatorSettingsError, require_positive
 
@@ -298,6 +299,10 @@ _ROUNDING_M = 1e-12
 """Allowance in m for rounding where a point lies at the end of a triangle."""
 _PAIRS = 500_000
 """Most pairs of triangle and point in one batch: 40 MB."""
+_ROLL_DEG, _SIDE_DEG = 0.5, 10.0
+"""Step of the rolls that are tried for a mesh, and least distance of two sides, in degrees."""
+_ROUND_SHARE = 0.05
+"""Difference of the heights of a round mesh, as a share: it rests at any roll."""
 _UNIT_M = 1e-3
 """Length of one unit of a file in m; STL has none, mm is what most programs write."""
 
@@ -424,7 +429,24 @@ def load_mesh(path: Path) -> MeshShape:
             f"{path} has {mesh.body_count} bodies or cavities, but a gripper holds one part: "
             "unite them and export one body"
         )
-    return MeshShape(triangles_m=_UNIT_M * (mesh.triangles - mesh.bounds.mean(axis=0)))
+    triangles_m = _UNIT_M * (mesh.triangles - mesh.bounds.mean(axis=0))
+    return _lying(np.roll(triangles_m, -int(np.argmax(mesh.extents.round(3))), axis=2))
+
+
+def _lying(triangles_m: NDArray[np.float64]) -> MeshShape:
+    """Return a mesh that rests on its flattest side; its long axis is x."""
+    corners_m = np.unique(triangles_m[:, :, 1:].reshape(-1, 2), axis=0)
+    rolls_rad = np.radians(np.arange(0.0, 180.0, _ROLL_DEG))
+    heights_m = np.array([np.ptp(corners_m @ (math.sin(a), math.cos(a))) for a in rolls_rad])
+    lowest_m = minimum_filter1d(heights_m, 2 * round(_SIDE_DEG / _ROLL_DEG) + 1, mode="wrap")
+    sides_rad = rolls_rad[heights_m == lowest_m]
+    uneven_rad = np.ptp(np.diff(sides_rad, append=math.pi + sides_rad[0]))
+    step_rad = math.pi / (len(sides_rad) if uneven_rad < math.radians(_SIDE_DEG) else 1)
+    if np.ptp(heights_m) < _ROUND_SHARE * heights_m.max():
+        step_rad = 0.0
+    c, s = (one(rolls_rad[heights_m.argmin()]) for one in (math.cos, math.sin))
+    triangles_m = triangles_m @ np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
+    return MeshShape(triangles_m=triangles_m, roll_step_rad=step_rad)
 
 
 _UNITS_M = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}

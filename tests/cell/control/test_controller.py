@@ -422,7 +422,9 @@ def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(record: GraspRecor
         answer = identified(record, **options)
         assert (answer.label, answer.shape, len(answer.posteriors)) == ("ball", None, 2)
         assert answer.complaints[0].startswith(complaint)
-    assert identified(record, read_shape=lambda _grasp: None).shapes == (None, None)
+    closed = replace(record, outcome=replace(record.outcome, short="the part is too small"))
+    for one, reads in ((record, lambda _grasp: None), (closed, read)):
+        assert identified(one, read_shape=reads).shapes == (None, None)
 
 
 @pytest.mark.parametrize(("drawn_m", "label"), [((4e-3,), UNKNOWN), ((4e-3, 9.5e-3), "ball")])

@@ -62,6 +62,14 @@ def test_a_narrow_prior_has_few_hypotheses_about_its_mean():
     assert grid.unchanged < 1e-6
 
 
+def test_a_learnt_spread_reports_only_a_drift_beyond_it():
+    grid = DriftGrid(prior=DriftPrior(log_gain_sd=0.05, offset_sd_mm=0.5, unchanged=0.0))
+    assert not grid.with_unnamed(evidence(grid, 0.0, 0.1)).likely
+    for _ in range(20):
+        grid = grid.with_unnamed(evidence(grid, 0.0, 1.0))
+    assert grid.likely
+
+
 def test_a_gauge_counts_less_than_its_grasps_by_how_objects_are_placed():
     grid = DriftGrid()
     likelihood = evidence(grid, np.log(0.7), -4.0, (0.02, 0.2))

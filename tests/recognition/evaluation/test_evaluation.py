@@ -111,6 +111,7 @@ def test_an_interval_by_objects_is_wider_where_grasps_of_an_object_agree():
     assert interval_by_object([True] * 200, objects) == wilson_interval(10, 10)
     assert interval_by_object([False] * 200, objects) == wilson_interval(0, 10)
     assert interval_by_object([], []) == (0.0, 1.0)
+    assert interval_by_object([True, False], ["ball", "ball"]) == (0.0, 1.0)
 
 
 def test_each_group_is_left_out_in_turn_without_what_nothing_else_teaches():
@@ -168,8 +169,9 @@ def test_few_labels_are_not_left_out(train, fresh):
     def pair(grasps):
         return [g for g in grasps if g.label in ("bar", "egg")]
 
-    score = evaluate([(pair(train), pair(fresh))], make_trainer("level_check"))
-    assert np.isnan(score.unknown_auroc)
+    for taught, tested in ((pair(train), pair(fresh)), (train, pair(fresh))):
+        score = evaluate([(taught, tested)], make_trainer("level_check"))
+        assert np.isnan(score.unknown_auroc)
 
 
 @pytest.mark.slow

@@ -123,7 +123,23 @@ def test_a_mesh_of_a_box_is_that_box(stl) -> None:
     for roll_rad in (0.0, 0.5 * math.pi):
         heights, wanted = (one.heights(x_m, y_m, roll_rad) for one in (shape, box))
         np.testing.assert_allclose(heights, wanted, atol=1e-9)
-    assert shape.roll_step_rad == 0.0
+    assert shape.roll_step_rad == box.roll_step_rad
+
+
+@pytest.mark.parametrize(
+    ("mesh", "thicknesses_mm"),
+    [
+        (trimesh.creation.box(extents=(6.0, 10.0, 16.0)), [6.0, 10.0]),
+        (trimesh.creation.cylinder(radius=3.0, height=16.0), [6.0]),
+        (trimesh.creation.cylinder(radius=5.0, height=16.0, sections=6), [8.7]),
+    ],
+    ids=["box", "pin", "hexagon"],
+)
+def test_a_mesh_lies_along_the_pads_and_rests_on_its_sides(stl, mesh, thicknesses_mm) -> None:
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(0.3, (0.0, 0.0, 1.0)))
+    shape = load_mesh(stl(mesh))
+    assert np.ptp(shape.triangles_m[:, :, 0]) == pytest.approx(16e-3)
+    assert [1e3 * one for one in thicknesses_m(shape)] == pytest.approx(thicknesses_mm, abs=0.2)
 
 
 def test_a_mesh_is_the_same_whole_and_in_pieces(stl, monkeypatch) -> None:

@@ -228,10 +228,7 @@ def commission(
         given["tactile.interface"], _, given["tactile.channel"] = can.partition(":")
     own = folder / CONFIG_NAME
     if config is not None and own.exists() and not own.samefile(config):
-        raise ConfigError(
-            f"{own} exists, and --config would replace its values by those of {config}: leave out "
-            "--config, or move the file away to begin anew"
-        )
+        raise ConfigError(f"{own} exists: leave out --config, or move the file away to begin anew")
     base = None if config is None else load_config(config)
     if base is not None and not base.simulated:
         given = {

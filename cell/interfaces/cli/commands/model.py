@@ -294,7 +294,7 @@ def _lines(result: EvaluationResult) -> Iterator[str | Table]:
     if any(math.isnan(f.full.unknown_auroc) for f in result.recognizers.values()):
         yield (
             f"-: not measured; AUROC leaves out one object and teaches the others. It needs "
-            f"{MIN_LABELS_FOR_UNKNOWN} objects (here {len(result.labels)}) and a split within each"
+            f"{MIN_LABELS_FOR_UNKNOWN} taught and tested objects and a split within each"
         )
     for name, figures in result.recognizers.items():
         yield from _details(name, figures.full)
