@@ -368,10 +368,11 @@ def fault_of(error: BaseException) -> Fault:
     kind = next((kind for kind in type(error).__mro__ if kind in CATALOGUE), Exception)
     cause = error.__cause__
     by_axis = isinstance(cause, motion.MotionError) and not isinstance(error, motion.MotionError)
-    # A plain CellError names the file that was wrong; its cause is an error of Python.
-    reports = kind is cell.CellError and type(error) is not cell.CellError
-    if cause is not None and (by_axis or reports):
-        return fault_of(cause)
+    if cause is not None and (by_axis or kind is cell.CellError):
+        reported = fault_of(cause)
+        # A plain CellError names a damaged file; then its cause is an error of Python.
+        if type(error) is not cell.CellError or reported.number != _UNEXPECTED:
+            return reported
     return CATALOGUE[kind]
 
 

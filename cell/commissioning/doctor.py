@@ -96,11 +96,10 @@ def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Fin
         yield from check_port(key, port)
     named = "" if config_file is None else f" --config {quote(str(config_file))}"
     yield _self_zero(config, named)
-    earlier = Commissioning()
     try:
-        if config_file is not None:
-            earlier = Commissioning.in_folder(config_file.parent)
+        earlier = Commissioning.in_folder(config_file.parent) if config_file else Commissioning()
     except CellError as error:
+        earlier = Commissioning()
         yield check_result("commissioning", str(error), "its values are not compared")
     yield _drives(config, named, earlier)
     yield from _devices(config, named, earlier)

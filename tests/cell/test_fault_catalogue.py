@@ -85,8 +85,8 @@ def test_a_subclass_has_the_most_specific_entry() -> None:
     assert fault_number(KeyboardInterrupt()) == 599
     assert fault_number(None) == 0
     error = CellError("the file is damaged")
-    error.__cause__ = ValueError("x")
-    assert fault_number(error) == 500
+    for error.__cause__, number in ((ValueError("x"), 500), (FingerSilent("x"), 103)):
+        assert fault_number(error) == number
 
 
 def test_an_error_that_reports_another_has_its_number() -> None:
