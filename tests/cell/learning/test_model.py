@@ -212,11 +212,6 @@ def test_grasps_without_a_self_zero_among_others_are_named() -> None:
     assert mixed[-1].startswith("4 of 40 grasps have no self-zero")
 
 
-def test_a_grasp_without_label_has_no_notes() -> None:
-    with pytest.raises(ValueError, match="no label"):
-        teaching_notes([grasp("", 0)])
-
-
 @pytest.fixture
 def model(taught: Any) -> TaughtModel:
     """Ball and box, five grasps each."""
@@ -281,18 +276,6 @@ def test_the_nearest_object_is_that_which_grasps_look_like() -> None:
 
 
 # -- Evaluation spread over processes --------------------------------------------------------------
-
-
-def test_one_process_works_here() -> None:
-    seen: list[int] = []
-    with workers(1) as mapper:
-        list(mapper(seen.append, [3, 1, 2]))
-    assert seen == [3, 1, 2]
-
-
-def test_a_number_of_processes_below_none_is_refused() -> None:
-    with pytest.raises(CellError, match="--jobs is -1"), workers(-1):
-        pass
 
 
 @pytest.mark.slow

@@ -462,7 +462,6 @@ def test_what_is_between_the_fingers_and_on_the_pads(at: At) -> None:
         ("finger0.inner tip left", 13.5, 3.5),
         ("finger1.inner near tip and right edge", 13.5, 3.5),
         ("finger0.tip left inside", 5, 1.5),
-        ("finger1.tip left outside", 1, 0.5),
     ],
 )
 def test_a_fingertip_is_where_the_words_say(at: At, where: str, row: float, column: float) -> None:
