@@ -188,10 +188,6 @@ class Gripper:
         report = self._servos.verify(correct=False)
         return replace(report, rows=report.rows + self._standing_rows())
 
-    def read_feedback(self) -> ServoFeedback:
-        """Read the feedback of all servos in one transaction."""
-        return self._servos.read_patiently()
-
     def tick(self) -> Cycle | None:
         """Feed the bus watchdog and check the servos between commands.
 

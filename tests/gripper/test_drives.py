@@ -70,7 +70,7 @@ def test_stiff_or_unlike_servos_that_nobody_measured_open_at_their_start(
         motor.friction_factor *= friction
         motor.kt_factor = kt
     cell.gripper.open()
-    assert cell.gripper.read_feedback().aperture_m == pytest.approx(0.03, abs=0.001)
+    assert cell.gripper._servos.read_patiently().aperture_m == pytest.approx(0.03, abs=0.001)
     for motor, drive in zip(cell.motors, drives(cell), strict=True):
         assert drive.breakaway_a == pytest.approx(true_friction_a(motor), rel=0.1, abs=0.012)
 
@@ -99,7 +99,7 @@ def test_a_closing_finger_whose_friction_is_more_than_was_measured_moves(make_st
         drive = cell.drives.of(servo)
         cell.drives.put(servo.servo_id, drive.with_friction(0.25))
     cell.gripper.measure_friction()
-    assert cell.gripper.read_feedback().aperture_m == pytest.approx(0.03, abs=0.001)
+    assert cell.gripper._servos.read_patiently().aperture_m == pytest.approx(0.03, abs=0.001)
     check_friction(cell)
     for motor, drive in zip(cell.motors, drives(cell), strict=True):
         assert drive.temperature_c == pytest.approx(motor.temperature_c, abs=1.0)

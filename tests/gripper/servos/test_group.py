@@ -61,7 +61,7 @@ def test_goals_that_were_lost_once_are_written_again(tripped, monkeypatch) -> No
 def test_an_answer_lost_between_two_commands_is_asked_for_again(cell, monkeypatch) -> None:
     read = Mock(wraps=cell.bus.sync_read, side_effect=chain([BusTimeout("lost")], repeat(DEFAULT)))
     monkeypatch.setattr(cell.bus, "sync_read", read)
-    assert cell.gripper.read_feedback().aperture_m == pytest.approx(
+    assert cell.gripper._servos.read_patiently().aperture_m == pytest.approx(
         cell.mechanics.aperture_m, abs=1e-3
     )
     assert read.call_count == 2
