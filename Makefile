@@ -73,8 +73,8 @@ campaign: $(DEV)  ## every fault, then 2,000 new inputs for each parser and new 
 	for round in $$(seq $(or $(ROUNDS),1)); do \
 	TACTILE_CELL_INPUTS=2000 $(TESTS) -m "not real_time" --timeout=3600 tests/fuzz tests/faults/test_state_machine.py || exit; done
 
-soak: $(DEV)  ## 10,000 grasps, 10,000 connections to each interface, a watched shift, 42 starts; hours: memory, files, threads stay flat
-	for work in "--grasps $(or $(GRASPS),10000)" "--connects $(or $(CONNECTS),10000)" "--hours $(or $(HOURS),8)" "--starts $(or $(STARTS),42)"; do \
+soak: $(DEV)  ## 10,000 connections to each interface, a watched shift, 42 starts; hours: memory, files, threads stay flat
+	for work in "--connects $(or $(CONNECTS),10000)" "--hours $(or $(HOURS),8)" "--starts $(or $(STARTS),42)"; do \
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.performance.soak $$work || exit; done
 
 vcan: $(DEV)  ## the CAN link on a real SocketCAN interface, in a virtual machine (qemu)

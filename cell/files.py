@@ -1,6 +1,7 @@
 """Files of a cell: bounded reading, atomic writing, and the format that each file names."""
 
 import errno
+import fcntl
 import hashlib
 import itertools
 import json
@@ -11,8 +12,8 @@ import sys
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import IO, Any, BinaryIO, NamedTuple
@@ -125,6 +126,23 @@ def write_atomically(
     except OSError as cause:
         old = "; the old file is unchanged" if place.exists() else ""
         raise error(f"cannot write {what} to {path}: {_advice(cause, place)}{old}") from cause
+
+
+@contextmanager
+def alone_in(folder: Path, busy: CellError) -> Iterator[None]:
+    """Lock a folder (flock), until this process ends at the latest.
+
+    Raises ``busy`` if another process holds it.
+    """
+    handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise busy from error
+        yield
+    finally:
+        os.close(handle)
 
 
 def write_text(path: Path, text: str, *, error: type[CellError], what: str) -> None:

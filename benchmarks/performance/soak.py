@@ -1,10 +1,9 @@
 """Long runs in virtual time, in which memory stays flat and files and threads stay few.
 
-    python -m benchmarks.performance.soak [--grasps N] [--connects N] [--hours H] [--starts N]
+    python -m benchmarks.performance.soak [--connects N] [--hours H] [--starts N]
 
-`make soak` runs all four, each in a process of its own:
+`make soak` runs all three, each in a process of its own:
 
-- grasps of one cell;
 - connections to each interface of a service that holds a part. Most clients connect and go; some
   send half a request first, some a whole one and read its answer;
 - hours of a shift, one sorted part for each 30 s, while a client of another process reads the
@@ -33,23 +32,20 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
 from benchmarks._measure import line
-from cell.build import build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.states import Command
 from cell.interfaces.opening import open_interfaces
-from cell.runtime.tasks import Collection
 from cell.runtime.worker import Job
 from cell.service.service import RELEASE_KEY, Service, open_service
 
-USUAL: dict[str, float] = {"grasps": 10_000, "connects": 10_000, "hours": 8.0, "starts": 42}
+USUAL: dict[str, float] = {"connects": 10_000, "hours": 8.0, "starts": 42}
 LIMITS = {
-    "grasps": {"rss_kib": 1.0, "objects": 0.5, "descriptors": 0.001, "threads": 0.001},
     "connects": {"rss_kib": 0.1, "objects": 0.01, "descriptors": 0.001, "threads": 0.001},
     "hours": {"rss_kib": 2.0, "objects": 0.5, "descriptors": 0.001, "threads": 0.001},
     "starts": {"rss_kib": 200.0, "objects": 100.0, "descriptors": 0.005, "threads": 0.005},
 }
-"""Growth allowed for each grasp, connection to all interfaces, part of a shift, and start."""
+"""Growth allowed for each connection to all interfaces, part of a shift, and start."""
 REST_S = 6.0
 """Time in s before a look: uvicorn keeps the timer of a connection that has ended for 5 s."""
 _SAMPLES, _WARM_UP = 24, 0.2
@@ -91,22 +87,6 @@ def judge(samples: Sequence[ResourceUse], limits: Mapping[str, float]) -> list[s
         line("", f"{text}: {values[0]:.0f} to {values[-1]:.0f}, {max(values):.0f} at most")
         bad += [text] if slope > limit else []
     return bad
-
-
-def grasps(n: int) -> list[ResourceUse]:
-    """Grasp ``n`` times with one cell."""
-    config, samples = CellConfig(), []
-    labels = [entry.label for entry in config.simulator.objects]
-    with closing(build_cell(config)) as cell:
-        cell.controller.start()
-        block = max(1, n // _SAMPLES)
-        for done in range(block, n + 1, block):
-            one = Collection(label=labels[done // block % len(labels)], n_planned=block)
-            one.fill(cell.controller, config.sequence, seed=1000 + done)
-            # The messages of a frame that is on its way now are no leak.
-            cell.simulated.can_bus.recv_all(10_000)
-            samples.append(look(done))
-    return samples
 
 
 def _service(**options: Any) -> Service:
@@ -246,7 +226,6 @@ def starts(n: int) -> list[ResourceUse]:
 
 
 WORK: dict[str, Callable[[Any], list[ResourceUse]]] = {
-    "grasps": grasps,
     "connects": connects,
     "hours": hours,
     "starts": starts,

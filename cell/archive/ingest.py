@@ -2,16 +2,17 @@
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile, ZipFile
 
 from cell.archive.selection import of_cell
-from cell.archive.store import Archive, Row, batches, recording_rows
+from cell.archive.store import Archive, Row, batches, grasp_key, recording_rows
 from cell.errors import ArchiveError, CellError, reason_text
+from cell.files import alone_in
 from cell.learning.parallel import one_blas_thread
 from cell.recording.dataset import read_dataset
 from cell.recording.reader import read_recording
@@ -20,6 +21,10 @@ from recognition.evaluation.evaluation import Mapper, one_by_one
 
 _KINDS = (".mcap", ".npz")
 """Endings of recordings and data sets; recordings first, since they hold more data."""
+_BUSY = "another program adds to this archive; run it again when that has ended"
+
+Names = dict[str, tuple[str, str]]
+"""Label and series of grasps by their keys."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +63,7 @@ def sources(places: Sequence[Path]) -> list[Path]:
     for place in places:
         if place.is_dir():
             paths = sorted(path for kind in _KINDS for path in place.rglob(f"*{kind}"))
-            files += [path for path in paths if not _is_model(path)]
+            files += [path for path in paths if not (path.is_fifo() or _is_model(path))]
         elif place.exists():
             files.append(place)
         else:
@@ -97,31 +102,45 @@ def ingest(
         results are added here, in the order of the files.
     """
     archive, done = Archive(target, create=True), Ingested()
-    archive.clear_staged()
-    every = sorted(paths, key=lambda path: path.suffix != _KINDS[0])
-    progress("archive", 0, len(every))
-    for number, piece in enumerate(mapper(partial(read_piece, target, cell), every), start=1):
-        progress("archive", number, len(every))
-        if piece.left:
-            done.left[str(piece.source)] = piece.left
-        elif not piece.staged or archive.has_source(piece.sha256):  # or a copy of it, meanwhile
-            done.n_there += 1
-        else:
-            try:
-                new, before = archive.add(piece.sha256, str(piece.source), piece.staged)
-            except ArchiveError as why:
-                Archive(target)  # raises where the whole archive is out of reach
-                done.left[str(piece.source)] = str(why)
-                continue
-            done.n_files += 1
-            done.n_grasps, done.n_before = done.n_grasps + new, done.n_before + before
-    archive.clear_staged()
+    with alone_in(Path(target), ArchiveError(_BUSY)) if Path(target).is_dir() else nullcontext():
+        archive.clear_staged()
+        every = sorted(paths, key=lambda path: path.suffix != _KINDS[0])
+        progress("archive", 0, len(every))
+        work = partial(read_piece, target, cell, _names(every))
+        for number, piece in enumerate(mapper(work, every), start=1):
+            progress("archive", number, len(every))
+            if piece.left:
+                done.left[str(piece.source)] = piece.left
+            elif not piece.staged or archive.has_source(piece.sha256):  # or a copy of it, meanwhile
+                done.n_there += 1
+            else:
+                try:
+                    new, before = archive.add(piece.sha256, str(piece.source), piece.staged)
+                except ArchiveError as why:
+                    Archive(target)  # raises where the whole archive is out of reach
+                    done.left[str(piece.source)] = str(why)
+                    continue
+                done.n_files += 1
+                done.n_grasps, done.n_before = done.n_grasps + new, done.n_before + before
+        archive.clear_staged()
     return done
 
 
+def _names(paths: Sequence[Path]) -> Names:
+    names: Names = {}
+    for path in paths if any(path.suffix == _KINDS[0] for path in paths) else ():
+        if path.suffix == _KINDS[1]:
+            with suppress(CellError, OSError):  # what is wrong with it is said where it is added
+                names |= {grasp_key(g): (g.label, g.series) for g in read_dataset(path)}
+    return names
+
+
 @one_blas_thread()
-def read_piece(target: str, cell: str, path: Path) -> Piece:
-    """Read one file and stage its grasps beside the archive; a problem is in `left`."""
+def read_piece(target: str, cell: str, names: Names, path: Path) -> Piece:
+    """Read one file and stage its grasps beside the archive; a problem is in `left`.
+
+    ``names`` are the label and the series by the key of each grasp that a data set names.
+    """
     try:
         if path.suffix == ".mcap" and in_use(path):
             return Piece(source=path, left="a program still writes to it")
@@ -130,7 +149,7 @@ def read_piece(target: str, cell: str, path: Path) -> Piece:
         archive = Archive(target)
         if archive.has_source(sha256):
             return Piece(source=path, sha256=sha256)
-        staged = archive.stage(sha256, _batches(path, cell, sha256))
+        staged = archive.stage(sha256, _batches(path, cell, names, sha256))
     except ArchiveError:
         raise
     except (CellError, OSError) as why:
@@ -138,20 +157,24 @@ def read_piece(target: str, cell: str, path: Path) -> Piece:
     return Piece(source=path, sha256=sha256, staged=staged)
 
 
-def _batches(path: Path, cell: str, sha256: str) -> Iterator[Any]:
+def _batches(path: Path, cell: str, names: Names, sha256: str) -> Iterator[Any]:
     """Yield the rows of a file; CellError for any content that does not fit."""
     try:
-        yield from batches(_rows(path, cell), str(path), sha256)
+        yield from batches(_rows(path, cell, names), str(path), sha256)
     except CellError:
         raise
     except Exception as why:
         raise CellError(f"its content does not fit an archive: {reason_text(why)}") from why
 
 
-def _rows(path: Path, cell: str) -> list[Row]:
+def _rows(path: Path, cell: str, names: Names) -> list[Row]:
     if path.suffix != ".mcap":
         return [(of_cell(grasp, cell), {"grasp": i}) for i, grasp in enumerate(read_dataset(path))]
     recording = read_recording(path)
     if not recording.complete:
         raise CellError(f"it is {recording.incomplete}")
-    return recording_rows(recording, cell)
+    rows: list[Row] = []
+    for grasp, further in recording_rows(recording, cell):
+        label, series = names.get(grasp_key(grasp), (grasp.label, grasp.series))
+        rows.append((replace(grasp, label=label, series=series), further))
+    return rows

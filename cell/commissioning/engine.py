@@ -212,8 +212,7 @@ class Engine:
         }
         config = self.bench.folder / CONFIG_NAME
         if config.exists() and (before := config.read_text("utf-8")) != texts[CONFIG_NAME]:
-            kept = free_name(config)
-            write_text(kept, before, error=CellError, what="earlier config")
+            write_text(kept := free_name(config), before, error=CellError, what="earlier config")
             dialog.say(f"{CONFIG_NAME} changes; the earlier one with its comments is {kept}")
         for name, text in texts.items():
             write_text(self.bench.folder / name, text, error=CellError, what=name)

@@ -4,6 +4,7 @@ import functools
 import itertools
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -249,8 +250,9 @@ class Recorder:
 
     def _stop(self, fault: RecordingError) -> None:
         self.fault = fault
-        self._note(str(fault))
         self._sink.end()
+        with suppress(Exception):  # of a host whose screen is gone: the grasp goes on
+            self._note(str(fault))
 
     def _finish(self) -> None:
         """Finish the file, as far as its disk allows; wait for the disk."""

@@ -41,6 +41,7 @@ def mark(path: Path) -> None:
 
     Raises RecordingError.
     """
+    path = path.resolve()
     if path.suffix != ".mcap" or not path.is_file() or not path.stat().st_size:
         raise RecordingError(f"{path} is not a recording, or empty; name an .mcap file with data")
     write_text(_mark_of(path), "", error=RecordingError, what="mark")
@@ -125,7 +126,7 @@ class Retention:
         for entry in entries:
             if total <= self._keep_bytes and free >= LEAST_FREE_BYTES:
                 break
-            with suppress(FileNotFoundError):  # another program deletes, too
+            with suppress(OSError):  # another program deletes, too, or it is not ours
                 if entry.marked or entry.path.resolve() == own.resolve() or in_use(entry.path):
                     continue
                 entry.path.unlink()

@@ -234,6 +234,7 @@ class TactileCellPlugin:
 
         Raises CellStopped after `interrupt`.
         """
+        self._worker.check_free()
         controller, done = self.cell.controller, Future[None]()
 
         def start() -> None:
@@ -719,9 +720,9 @@ class TactileCellPlugin:
         file, note = self._file, self._note
 
         def work(_report: Report) -> None:
+            file.due = True
             if few := file.model.train():
                 note(f"left out for too few grasps: {', '.join(few)}; teach or forget them")
-            file.due = True
             file.write()
 
         self._finish(self._accept(work, None, "train"), timeout_s)

@@ -1,10 +1,8 @@
 """Serving the simulated cell to other processes, with a config for its ports."""
 
-import fcntl
-import os
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +10,7 @@ from cell.config.file import SCHEMA_LINE, changed_config, config_text
 from cell.config.model import CellConfig
 from cell.config.positioner import PositionerConfig
 from cell.errors import CellError, ConfigError
-from cell.files import write_text
+from cell.files import alone_in, write_text
 from cell.hand.real_time import raised_priority
 from cell.learning.parallel import one_blas_thread
 from cell.simulation import simulator_settings
@@ -63,7 +61,9 @@ def serve_simulated_cell(
         temporary = undo.enter_context(tempfile.TemporaryDirectory(prefix="tactile-cell-"))
         place = Path(temporary) if folder is None else folder.resolve()
         place.mkdir(parents=True, exist_ok=True)
-        undo.enter_context(_alone_in(place))
+        # The links of its devices belong to one cell.
+        running = f"another simulated cell is running in {place}: end it, or choose another folder "
+        undo.enter_context(alone_in(place, CellError(f"{running}with --out")))
 
         def announce_with_config(announced: dict[str, Any]) -> None:
             path = place / "cell.yaml"
@@ -85,27 +85,6 @@ def serve_simulated_cell(
             raise ConfigError(f"simulator: {error}") from error
         except SimulatorError as error:
             raise CellError(str(error)) from error
-
-
-@contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
-    """Lock the folder of the device links: a second cell there would take the links of the first.
-
-    The lock (flock) is on the folder itself and ends with this process.
-    Raises CellError if another process holds it.
-    """
-    handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise CellError(
-                f"another simulated cell is running in {folder}: end it, or choose another folder "
-                "with --out"
-            ) from error
-        yield
-    finally:
-        os.close(handle)
 
 
 def client_config(config: CellConfig, announced: dict[str, Any]) -> CellConfig:

@@ -287,7 +287,7 @@ class Tasks:
         ModelError, DatasetError
             If the model cannot be written; it is in use.
         """
-        self.file.due |= goal.train
+        self.file.due = True
         self.model.check_extendable()
         collection = Collection(label=goal.label, n_planned=goal.grasps, present=goal.present)
         try:
@@ -496,6 +496,7 @@ class Tasks:
                     raise
                 continue
             misses = 0
+            progress(part=Part(job=report.number, label=identification.label, in_grip=True))
             part = self.parts.add(
                 identification, remark, **self._brought(answer.targets, identification.label)
             )

@@ -23,6 +23,7 @@ from cell.archive.questions import ask
 from cell.archive.selection import Selection, parse_selection
 from cell.archive.store import TABLE, Archive, grasp_key
 from cell.errors import ArchiveError, CellError, ConfigError, ReportError
+from cell.files import alone_in
 from cell.learning.model import load_model
 from cell.learning.parallel import silent
 from cell.recording.dataset import read_dataset, write_dataset
@@ -408,6 +409,22 @@ def test_unknown_is_the_right_answer_to_an_object_that_was_never_taught(tmp_path
     table = confusion_table(answers)
     assert table is not None
     assert table.text == "2 of 3 right, 1 wrong"
+
+
+def test_a_data_set_names_the_grasps_of_a_recording_and_one_program_adds(tmp_path: Path) -> None:
+    target, rng = str(tmp_path / "archive"), np.random.default_rng(5)
+    grasp = ramp("ball", rng)
+    record(tmp_path / "recording.mcap", [replace(grasp, label="")], answers=[UNKNOWN])
+    (recorded,) = recording_grasps(tmp_path / "recording.mcap")
+    write_dataset(tmp_path / "named.npz", [replace(recorded, label="nut", series="monday")])
+    add(target, sources([tmp_path]))
+    rows = Archive(target).table(["label", "series", "answer"]).to_pylist()
+    assert rows == [{"label": "nut", "series": "monday", "answer": UNKNOWN}]
+    with (
+        alone_in(Path(target), CellError("x")),
+        pytest.raises(ArchiveError, match="another program adds"),
+    ):
+        add(target, sources([tmp_path]))
 
 
 def test_an_archive_without_answers_says_so(tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ from unittest.mock import Mock, create_autospec
 
 import numpy as np
 import pytest
-from rich.console import Console
 from typer.testing import CliRunner
 
 from cell.commissioning.engine import WizardAborted, leave
@@ -38,7 +37,7 @@ from cell.errors import (
 from cell.interfaces.cli import main, session, terminal, terminal as asking
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands.commission import TerminalDialog
-from cell.interfaces.cli.commands.run import confusion_table, result_lines
+from cell.interfaces.cli.commands.run import result_lines
 from cell.interfaces.cli.session import running_cell
 from cell.interfaces.cli.signals import stopping
 from cell.learning.model import load_model, save_model
@@ -162,21 +161,6 @@ def test_a_report_that_cannot_be_written_does_not_cost_the_result(
     said = fail("run", "-c", quick)
     assert "This cell, all grasps: " in said
     assert said.endswith("error (fault 504): cannot write: no space left")
-
-
-@pytest.mark.parametrize("width", [40, 80, None])
-def test_tables_lose_nothing_on_narrow_terminals_and_in_pipes(monkeypatch, width) -> None:
-    console = Console(file=io.StringIO(), force_terminal=width is not None, width=width)
-    monkeypatch.setattr("cell.interfaces.cli.terminal.out", console)
-    labels = ("long_name", "a_longer_name", "the_longest_name")
-    assert len(confusion_table(labels, [[9, 0, 0], [0, 10, 0], [0, 2, 8]]).columns) == 4
-    terminal.print_table(confusion_table(labels, [[9, 0, 0, 1], [0, 10, 0, 0], [0, 2, 8, 0]]))
-    text = console.file.getvalue()  # type: ignore[attr-defined]
-    assert "…" not in text
-    assert all(label in text for label in labels)
-    assert ("│" in text) == (width == 80)
-    if width is None:
-        assert text.splitlines()[:2] == ["part:", "  long_name: long_name 9, UNKNOWN 1"]
 
 
 def test_the_paper_is_put_beside_its_five_objects(taught, capsys) -> None:

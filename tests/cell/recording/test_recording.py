@@ -779,7 +779,8 @@ def keep(tmp_path: Path) -> Iterator[Callable[..., Keeper]]:
 def test_the_oldest_recordings_go_by_size_and_marked_ones_stay(keep) -> None:
     keeper = keep(keep_bytes=5000)
     first, second, marked, newest = (keeper.job(number) for number in range(1, 5))
-    mark(marked)
+    (link := marked.parent.parent / "newest.mcap").symlink_to(marked)
+    mark(link)
     (first.parent / "report.html").touch()
     keeper.retention.enforce()
     assert all(path.exists() for path in (first, second, marked, newest))

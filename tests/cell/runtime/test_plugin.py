@@ -360,6 +360,9 @@ def test_each_teaching_is_saved_before_its_job_succeeds(
     done(plugin, TeachGoal(label="ball", grasps=1))
     plugin.result(plugin.forget_drift(), LIMIT_S)
     assert running == [True]  # and once for each teaching
+    done(plugin, TeachGoal(label="cup", present="box", grasps=2, train=False))
+    plugin.close()
+    assert [grasp.label for grasp in read_dataset(tmp_path / "m.grasps.npz")].count("cup") == 2
     assert path.read_bytes() != before
     assert make_plugin(model=path).labels == ("ball", "box")
 
@@ -516,6 +519,8 @@ def test_config_files_and_the_context_manager(plugin_class: Any, tmp_path: Path)
     with plugin_class(path) as plugin:
         assert plugin.info()["name"] == "from a file"
     assert plugin.status().state == "STOPPED"
+    with pytest.raises(CellStateError, match="the cell is closed"):
+        plugin.connect()
 
 
 def test_an_idle_cell_in_real_time_is_supervised(make_plugin: Any, meddle: Any) -> None:
@@ -680,7 +685,9 @@ def test_a_stop_just_before_a_part_is_let_go_keeps_it(sorter: Sorter) -> None:
 
     sorter.on_place = lambda _destination: True  # is an answer too: the part is there
     sorter.plugin.cell.controller.kept_part.verify = then_cancel
-    assert "before it was let go" in sorter.sort("ball", "box").error
+    job = sorter.sort("ball", "box")
+    assert "before it was let go" in job.error
+    assert (job.part.label, job.part.in_grip) == ("ball", True)
     assert sorter.life.state is CellState.COMPLETE
     assert grip_n(sorter.plugin) > 3.0
 

@@ -226,8 +226,7 @@ def commission(
     given = {} if servo_port is None else {"gripper.port": servo_port}
     if can is not None:
         given["tactile.interface"], _, given["tactile.channel"] = can.partition(":")
-    own = folder / CONFIG_NAME
-    if config is not None and own.exists() and not own.samefile(config):
+    if config and (own := folder / CONFIG_NAME).exists() and not own.samefile(config):
         raise ConfigError(f"{own} exists: leave out --config, or move the file away to begin anew")
     base = None if config is None else load_config(config)
     if base is not None and not base.simulated:
