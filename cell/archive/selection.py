@@ -26,7 +26,7 @@ class Selection:
     cells: frozenset[str] = frozenset()
     """Names of cells."""
     first_day: str = ""
-    last_day: str = "9999"
+    last_day: str = "9999-12-31"
     """First and last day, for example 2027-01-15 (UTC)."""
     objects: frozenset[str] = frozenset()
     """Labels."""

@@ -235,7 +235,7 @@ class CellWorker:
             if number is None:
                 return self._jobs.get(self._newest, Job())
             if number not in self._jobs:
-                raise RequestRefused(f"there is no job {number}; the newest is {self._newest}")
+                raise RequestRefused(f"job {number} is not kept; the newest is {self._newest}")
             return self._jobs[number]
 
     def status(self, job: Job) -> Job:

@@ -165,7 +165,7 @@ def test_jobs_of_a_simulated_cell_are_recorded_and_the_last_answer_is_kept(
     # It outlives other jobs.
     assert served.plugin.job(1).part == served.plugin.status().last_answer
     assert served.plugin.job(1).part.label == "ball"
-    with pytest.raises(RequestRefused, match="no job 2"):
+    with pytest.raises(RequestRefused, match="job 2 is not kept"):
         served.plugin.job(2)
     service.close()
     recording = read_recording(tmp_path / "recording.mcap")

@@ -48,16 +48,16 @@ def report(
     ],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output", "-o", help="Page to write [default: report.html beside the recording]."
-        ),
+        typer.Option("--output", "-o", help="Page to write [default: beside the recording]."),
     ] = None,
 ) -> None:
     """Write the report page of a recording: one HTML file for a browser.
 
     Needs the extra `report`.
     """
-    page = output or recording.with_name("report.html")
+    # The page of a run is beside its first recording.
+    stem = "" if recording.stem == "recording" else f"{recording.stem}-"
+    page = output or recording.with_name(f"{stem}report.html")
     write_report(page, recorded_report(read_recording(recording)))
     print_line(f"report: {page}")
 
