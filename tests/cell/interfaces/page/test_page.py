@@ -191,8 +191,8 @@ def test_the_page_shows_today_yesterday_the_week_and_what_is_confused(open_page,
     named = re.escape(f"Confused: {EVIL} → nut 4×, pin ≈ bolt 2×")
     becomes(page, "#days", rf"^today 0yesterday {lost}this week {lost}{named}$")
     page.set_viewport_size({"width": 1366, "height": 768})
-    days, last = (page.locator(f"#days{one}").bounding_box() for one in ("", " > :last-child"))
-    assert last["y"] + last["height"] <= days["y"] + days["height"] + 1
+    days = "document.querySelector('#days')"
+    until(lambda: page.evaluate(f"{days}.scrollHeight <= {days}.clientHeight + 1"))
     assert fits(page)
 
 
