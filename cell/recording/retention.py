@@ -36,15 +36,17 @@ class Entry(NamedTuple):
     marked: bool
 
 
-def mark(path: Path) -> None:
-    """Mark a recording, so that it is never deleted; without the file of its mark it may be.
+def mark(path: Path) -> Path:
+    """Mark a recording, so that it is never deleted; return the file of its mark.
 
-    Raises RecordingError.
+    Without that file it may be deleted. Of a link the recording itself is marked. Raises
+    RecordingError.
     """
     path = path.resolve()
     if path.suffix != ".mcap" or not path.is_file() or not path.stat().st_size:
         raise RecordingError(f"{path} is not a recording, or empty; name an .mcap file with data")
-    write_text(_mark_of(path), "", error=RecordingError, what="mark")
+    write_text(file := _mark_of(path), "", error=RecordingError, what="mark")
+    return file
 
 
 def recordings(folder: Path) -> list[Entry]:

@@ -496,10 +496,9 @@ class Tasks:
                     raise
                 continue
             misses = 0
-            progress(part=Part(job=report.number, label=identification.label, in_grip=True))
-            part = self.parts.add(
-                identification, remark, **self._brought(answer.targets, identification.label)
-            )
+            label, n_grasps = identification.label, len(identification.records)
+            progress(part=Part(job=report.number, label=label, n_grasps=n_grasps, in_grip=True))
+            part = self.parts.add(identification, remark, **self._brought(answer.targets, label))
             answer.add(part)
             progress(part=part)
         return answer

@@ -14,7 +14,7 @@ from cell.interfaces.cli import options
 from cell.interfaces.cli.terminal import plain_text, print_line, print_table, show
 from cell.recording.dataset import read_grasps
 from cell.recording.reader import read_recording, recover_recording
-from cell.recording.retention import MARK, mark as mark_one, recordings
+from cell.recording.retention import mark as mark_one, recordings
 from cell.report.page import grasp_figure, write_picture, write_report
 from cell.report.recorded import recorded_report
 
@@ -38,8 +38,7 @@ def mark(
 ) -> None:
     """Mark recordings, so that they are never deleted."""
     for path in recordings:
-        mark_one(path)
-        print_line(f"{path}: marked by {path.name}{MARK} beside it")
+        print_line(f"{path}: marked by {mark_one(path).name} beside it")
 
 
 def report(
