@@ -128,8 +128,9 @@ def ingest(
 
 def _names(paths: Sequence[Path]) -> Names:
     names: Names = {}
-    for path in paths if any(path.suffix == _KINDS[0] for path in paths) else ():
-        if path.suffix == _KINDS[1]:
+    recorded = any(path.suffix == _KINDS[0] for path in paths)
+    for path in paths:
+        if recorded and path.suffix == _KINDS[1]:
             with suppress(CellError, OSError):  # what is wrong with it is said where it is added
                 names |= {grasp_key(g): (g.label, g.series) for g in read_dataset(path)}
     return names

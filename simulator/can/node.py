@@ -155,12 +155,14 @@ class CanopenDevice(ABC):
     def _serve(self, request: bytes) -> None:
         """Answer one SDO request."""
         server = self._node.sdo
+        known = request[0] & _SPECIFIER_BITS not in _BLOCK_TRANSFERS
         try:
-            if request[0] & _SPECIFIER_BITS in _BLOCK_TRANSFERS:
-                raise struct.error
-            server.on_request(server.rx_cobid, bytearray(request), self._network.now_s)
+            if known:
+                server.on_request(server.rx_cobid, bytearray(request), self._network.now_s)
         except struct.error:
-            # Its abort has the object of the last transfer, but there was no transfer.
+            known = False
+        if not known:
+            # Its own abort has the object of the last transfer, but there was no transfer.
             _, index, subindex = sdo.SDO_STRUCT.unpack_from(request)
             code = sdo.ABORT_INVALID_COMMAND_SPECIFIER
             abort = _ABORT.pack(sdo.RESPONSE_ABORTED, index, subindex, code)

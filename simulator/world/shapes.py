@@ -16,7 +16,6 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter1d
 
 from simulator.errors import SimulatorSettingsError, require_positive
 
@@ -438,7 +437,8 @@ def _lying(triangles_m: NDArray[np.float64]) -> MeshShape:
     corners_m = np.unique(triangles_m[:, :, 1:].reshape(-1, 2), axis=0)
     rolls_rad = np.radians(np.arange(0.0, 180.0, _ROLL_DEG))
     heights_m = np.array([np.ptp(corners_m @ (math.sin(a), math.cos(a))) for a in rolls_rad])
-    lowest_m = minimum_filter1d(heights_m, 2 * round(_SIDE_DEG / _ROLL_DEG) + 1, mode="wrap")
+    near = round(_SIDE_DEG / _ROLL_DEG)
+    lowest_m = np.min([np.roll(heights_m, n) for n in range(-near, near + 1)], axis=0)
     sides_rad = rolls_rad[heights_m == lowest_m]
     uneven_rad = np.ptp(np.diff(sides_rad, append=math.pi + sides_rad[0]))
     step_rad = math.pi / (len(sides_rad) if uneven_rad < math.radians(_SIDE_DEG) else 1)

@@ -118,10 +118,10 @@ export function setupSimulation(view) {
     part: chosen(),
     pose: Object.fromEntries(values("sim_pose").map(([name, value]) => [name, value * SI[POSE[name]]])),
   }));
+  const written = () => byId("sim_value").value.trim().replace(/^(-?\d+),(\d+)$/, "$1.$2");
   act("sim_begin", () => send("POST", "faults", {
     fault: byId("sim_fault").value + (written() ? `=${written()}` : ""),
   }));
-  const written = () => byId("sim_value").value.trim().replace(/^(-?\d+),(\d+)$/, "$1.$2");
   byId("sim_fault").addEventListener("change", () => { byId("sim_value").value = ""; view.changed(); });
   act("sim_reset", () => send("POST", "reset", { lease: link.lease }));
   view.endFault = (fault) => attempt(() => send("DELETE", `faults?fault=${encodeURIComponent(fault)}`)).then(refresh);
