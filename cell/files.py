@@ -15,6 +15,7 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from importlib.metadata import version
+from io import BufferedReader
 from pathlib import Path
 from typing import IO, Any, BinaryIO, NamedTuple
 
@@ -51,7 +52,7 @@ DAMAGE = (
 """Errors of Python and its libraries for damaged bytes, or arrays that do not fit."""
 
 
-def open_plain(path: Path, *, error: type[CellError], what: str) -> BinaryIO:
+def open_plain(path: Path, *, error: type[CellError], what: str) -> BufferedReader:
     """Open a plain file for reading. Anything else is refused: a pipe or device could block.
 
     Raises ``error``; its message names ``what``.

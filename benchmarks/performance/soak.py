@@ -137,10 +137,8 @@ def connects(n: int) -> list[ResourceUse]:
     """Connect ``n`` times to each interface of a service that holds a part."""
     call, samples = dumps((), "state"), []
     with closing(_service()) as service, open_interfaces(service) as interfaces:
-        head, token = (
-            "HTTP/1.1\r\nHost: localhost\r\n",
-            f"Authorization: Bearer {interfaces['token']}",
-        )
+        head = "HTTP/1.1\r\nHost: localhost\r\n"
+        token = f"Authorization: Bearer {interfaces['token']}"
         body = f"Content-Type: text/xml\r\nContent-Length: {len(call)}\r\n\r\n{call}"
         requests = {
             interfaces["modbus_port"]: bytes.fromhex("000100000006010400000001"),

@@ -12,7 +12,7 @@ from zipfile import BadZipFile, ZipFile
 from cell.archive.selection import of_cell
 from cell.archive.store import Archive, Row, batches, grasp_key, recording_rows
 from cell.errors import ArchiveError, CellError, reason_text
-from cell.files import alone_in
+from cell.files import alone_in, open_plain
 from cell.learning.parallel import one_blas_thread
 from cell.recording.dataset import read_dataset
 from cell.recording.reader import read_recording
@@ -22,6 +22,8 @@ from recognition.evaluation.evaluation import Mapper, one_by_one
 _KINDS = (".mcap", ".npz")
 """Endings of recordings and data sets; recordings first, since they hold more data."""
 _BUSY = "another program adds to this archive; run it again when that has ended"
+
+_open = partial(open_plain, error=CellError, what="file")
 
 Names = dict[str, tuple[str, str]]
 """Label and series of grasps by their keys."""
@@ -63,7 +65,7 @@ def sources(places: Sequence[Path]) -> list[Path]:
     for place in places:
         if place.is_dir():
             paths = sorted(path for kind in _KINDS for path in place.rglob(f"*{kind}"))
-            files += [path for path in paths if not (path.is_fifo() or _is_model(path))]
+            files += [path for path in paths if not _is_model(path)]
         elif place.exists():
             files.append(place)
         else:
@@ -76,7 +78,7 @@ def sources(places: Sequence[Path]) -> list[Path]:
 
 
 def _is_model(path: Path) -> bool:
-    with suppress(OSError, BadZipFile), ZipFile(path) as file:
+    with suppress(CellError, OSError, BadZipFile), _open(path) as data, ZipFile(data) as file:
         return "model.npy" in file.namelist()
     return False
 
@@ -145,7 +147,7 @@ def read_piece(target: str, cell: str, names: Names, path: Path) -> Piece:
     try:
         if path.suffix == ".mcap" and in_use(path):
             return Piece(source=path, left="a program still writes to it")
-        with path.open("rb") as file:
+        with _open(path) as file:
             sha256 = hashlib.file_digest(file, "sha256").hexdigest()
         archive = Archive(target)
         if archive.has_source(sha256):
