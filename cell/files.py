@@ -130,17 +130,17 @@ def write_atomically(
 
 
 @contextmanager
-def alone_in(folder: Path, busy: CellError) -> Iterator[None]:
+def alone_in(folder: Path, busy: CellError | None = None) -> Iterator[None]:
     """Lock a folder (flock), until this process ends at the latest.
 
-    Raises ``busy`` if another process holds it.
+    Raises ``busy`` if another process holds it; None: waits for it.
     """
     handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(handle, fcntl.LOCK_EX | (fcntl.LOCK_NB if busy else 0))
         except BlockingIOError as error:
-            raise busy from error
+            raise busy or error from error
         yield
     finally:
         os.close(handle)

@@ -70,8 +70,8 @@ class ServeConfig(Section):
     token_file: str = Field(default="", max_length=500)
     """File with the token of HTTP clients; empty: each start prints a new token."""
     secret_file: str = Field(default="", max_length=500)
-    """File with the secret, 16 to 64 ASCII characters; clients of Modbus and XML-RPC need it to
-    command. Empty: no secret is needed."""
+    """File with the secret, 16 to 64 letters, digits or -._~; clients of Modbus and XML-RPC need it
+    to command. Empty: no secret is needed."""
     tls_certificate: str = Field(default="", max_length=500)
     """Certificate file (PEM) of HTTP; empty: no TLS."""
     tls_key: str = Field(default="", max_length=500)

@@ -3,7 +3,7 @@
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
 from cell.control.journal import Journal
@@ -319,6 +319,9 @@ class CellLifecycle:
             self.journal.note("fault", text, fault_number(second))
         finally:
             self.complete()
+        # Until the next start nobody reads what it sends.
+        with suppress(HandLost):
+            self.hand.stop_sensor()
 
     def _carried_for(self) -> str:
         """Return as text how long a kept part was held until now; empty without one."""

@@ -25,8 +25,8 @@ take all places at once."""
 _PEER_IDLE_S, _PEER_ASKED_S, _PEER_ASKED_MAX = 10, 5, 4
 """TCP keep-alive: silence in s before the first probe, time in s between two probes, number of
 probes. A peer without power is detected after 30 s."""
-_SECRET_MIN = 16
-"""Fewest characters of a token or secret."""
+_SECRET = re.compile(r"[\w.~-]{16,}", re.ASCII)
+"""A token or secret: an address, a header and the handshake of a browser take it as it is."""
 _SECRET_BYTES = 4096
 """Largest size in bytes of a file with a token or secret."""
 
@@ -88,13 +88,11 @@ def read_secret(path: str) -> str:
     """Return the token or secret in a file. Raises ConfigError if it is bad or missing."""
     what = "token or secret"
     data = read_plain(Path(path), error=ConfigError, what=what, limit_bytes=_SECRET_BYTES)
-    try:
-        secret = data.decode("ascii").strip()
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: a token or secret needs ASCII characters ({error})") from error
-    if len(secret) < _SECRET_MIN:
+    secret = data.decode("ascii", "replace").strip()
+    if not _SECRET.fullmatch(secret):
         raise ConfigError(
-            f"{path}: a token or secret needs at least {_SECRET_MIN} characters, not {len(secret)}"
+            f"{path}: a token or secret has at least 16 letters, digits or -._~ and no other "
+            "characters; `openssl rand -hex 16` writes one"
         )
     return secret
 

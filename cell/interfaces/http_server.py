@@ -4,7 +4,7 @@ It serves the ASGI applications of `cell.interfaces.web` and `cell.interfaces.xm
 """
 
 import socket
-from collections.abc import Awaitable, Callable, MutableMapping
+from collections.abc import Awaitable, Callable, Mapping, MutableMapping
 from typing import Any
 
 import uvicorn
@@ -45,10 +45,13 @@ Scope = MutableMapping[str, Any]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 
 
-def refusal(status: int, text: str, remedy: str) -> JSONResponse:
+def refusal(
+    status: int, text: str, remedy: str, headers: Mapping[str, str] | None = None
+) -> JSONResponse:
     """Return the answer to a request that has not reached the cell, in the common form."""
     number = CATALOGUE[RequestRefused].number
-    return JSONResponse({"fault_number": number, "error": text, "remedy": remedy}, status)
+    body = {"fault_number": number, "error": text, "remedy": remedy}
+    return JSONResponse(body, status, headers)
 
 
 def _body_bytes(scope: Scope) -> int | None:

@@ -283,9 +283,8 @@ class WebInterface(HttpServer):
 
     def _app(self) -> FastAPI:
         service = self._service
-        refusals: dict[int | str, dict[str, Any]] = {
-            status: {"model": RefusalBody} for status in (401, 403, 404, 409, 413, 422, 500)
-        }
+        codes = (400, 401, 403, 404, 405, 409, 413, 422, 500)
+        refusals: dict[int | str, Any] = {code: {"model": RefusalBody} for code in codes}
         app = FastAPI(
             title="tactile-cell",
             version=service.version,
@@ -332,6 +331,7 @@ class WebInterface(HttpServer):
         app.add_api_websocket_route("/api/live", self.live)
         app.add_api_route("/api/hold", self.hold, methods=["POST"])
         app.add_api_route("/healthz", self.healthz, methods=["GET"])
+        app.add_api_route("/healthz", self.healthz, methods=["HEAD"], include_in_schema=False)
         app.add_api_route("/metrics", self.metrics, methods=["GET"])
         mount_page(app)
         return app
@@ -343,7 +343,7 @@ class WebInterface(HttpServer):
     ) -> None:
         """Raise HTTPException or NotInCommand if the token does not permit the request."""
         if not self._may_read(bearer.credentials):
-            raise HTTPException(401, "wrong token")
+            raise HTTPException(401, "wrong token", {"WWW-Authenticate": "Bearer"})
         request.state.commands = same_secret(bearer.credentials, self.token)
         if request.method != "GET" and not request.state.commands:
             raise NotInCommand(
@@ -603,7 +603,7 @@ def _refused(_request: Request, error: Exception) -> JSONResponse:
         case StarletteHTTPException():
             cause = _CAUSES.get(error.status_code)
             remedy = CATALOGUE[RequestRefused].remedy if cause is None else REMEDIES[cause]
-            return refusal(error.status_code, str(error.detail), remedy)
+            return refusal(error.status_code, str(error.detail), remedy, error.headers)
         case RequestValidationError():
             complaints = "; ".join(
                 f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()

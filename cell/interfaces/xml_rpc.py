@@ -8,7 +8,7 @@ raises an error. A method that fails returns the negative fault number, or an em
 import asyncio
 import functools
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextvars import ContextVar
 from math import atan2, cos, hypot, sin
 from typing import Any, cast
@@ -321,15 +321,22 @@ def methods(calls: Calls) -> dict[str, Callable[..., Any]]:
     }
 
 
-def _check_types(taken: inspect.Signature, arguments: tuple[Any, ...]) -> None:
-    """Raise ConfigError for a wrong number of arguments, or a text in place of a number."""
+def _checked(taken: inspect.Signature, arguments: tuple[Any, ...]) -> Iterable[Any]:
+    """Return the arguments, whole numbers as int: a robot may compute in floats.
+
+    Raises ConfigError for a wrong number of arguments, or a text in place of a number.
+    """
     try:
         given = taken.bind(*arguments).arguments
     except TypeError as error:
         raise ConfigError(f"{error}; the arguments are {taken}") from error
     for name, value in given.items():
-        if taken.parameters[name].annotation is not str and not isinstance(value, int | float):
+        kind = taken.parameters[name].annotation
+        if kind is not str and not isinstance(value, int | float):
             raise ConfigError(f"{name} is {value!r:.40}; write a number")
+        if kind is int and value == value // 1:
+            given[name] = int(value)
+    return given.values()
 
 
 def _harmless(call: Callable[..., Any], refuse: Callable[[Exception], int]) -> Callable[..., Any]:
@@ -339,8 +346,7 @@ def _harmless(call: Callable[..., Any], refuse: Callable[[Exception], int]) -> C
     @functools.wraps(call)
     def called(*arguments: Any) -> Any:
         try:
-            _check_types(taken, arguments)
-            return call(*arguments)
+            return call(*_checked(taken, arguments))
         except Exception as error:
             if call.__name__ == Calls.hold.__name__:
                 call()  # a wrong argument stops once

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from cell.errors import CellError
+from cell.files import alone_in
 from cell.learning.model import what_differs
 from cell.recording.dataset import read_dataset, read_grasps, write_dataset
 from recognition.grasp import Grasp, PadArray
@@ -60,13 +61,17 @@ def duplicate_grasps(grasps: Sequence[Grasp]) -> list[Grasp]:
     return repeated
 
 
+def _check_folder(path: Path) -> None:
+    if not path.parent.is_dir():
+        raise CellError(f"{path}: the folder {path.parent} does not exist; make it first")
+
+
 def dataset_to_extend(path: Path, pads: PadArray) -> tuple[Grasp, ...]:
     """Return the present grasps of a data set, to which grasps of these pads will be added.
 
     Raises CellError if it cannot be read, holds grasps on other pads, or its folder does not exist.
     """
-    if not path.parent.is_dir():
-        raise CellError(f"{path}: the folder {path.parent} does not exist; make it first")
+    _check_folder(path)
     before = read_dataset(path) if path.exists() else ()
     if before and not (there := before[0].pads).same_as(pads):
         raise CellError(
@@ -80,9 +85,11 @@ def dataset_to_extend(path: Path, pads: PadArray) -> tuple[Grasp, ...]:
 def append_to_dataset(path: Path, new: Sequence[Grasp], series: str = "") -> int:
     """Rewrite a data set with further grasps of one series at its end; return the number before.
 
-    Other commands may have added grasps since it was read last: it is read again. Raises as
-    `dataset_to_extend` and `write_dataset`; the file does not change then.
+    Other commands may have added grasps since it was read last: it is read again, and they wait
+    meanwhile. Raises as `dataset_to_extend` and `write_dataset`; the file does not change then.
     """
-    before = dataset_to_extend(path, new[0].pads)
-    write_dataset(path, [*before, *(replace(grasp, series=series) for grasp in new)])
+    _check_folder(path)
+    with alone_in(path.parent):
+        before = dataset_to_extend(path, new[0].pads)
+        write_dataset(path, [*before, *(replace(grasp, series=series) for grasp in new)])
     return len(before)

@@ -62,7 +62,7 @@ def _can(config: CellConfig, cell: Cell) -> dict[str, Any]:
     frame = cell.controller.latest.frame
     age_s = None if frame is None else max(0.0, cell.controller.clock.monotonic() - frame.t_s)
     lost = source.recent_loss_rate
-    return _level(watch=lost > 0.0 or frame is None, bad=lost > config.tactile.loss_max_share) | {
+    return _level(watch=lost > 0.0, bad=lost > config.tactile.loss_max_share) | {
         "frames": source.frames.complete,
         "lost": source.frames.lost,
         "age_s": age_s,

@@ -377,7 +377,7 @@ class Service:
         if name not in TASKS:
             key, reboot = fields.get("key", 0), fields.get("reboot", False)
             return self.command(lease, Command(name), key=key, reboot=reboot, number=number)
-        if fields.get("keep") is True:
+        if fields.get("keep") == 1:
             fields["keep"] = "always"
         goal = {field: value for field, value in fields.items() if value}
         return self.start(lease, goal | {"task": name}, number=number)

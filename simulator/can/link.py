@@ -212,6 +212,8 @@ class CanLink:
         """
         if self._wire.host_is_full:
             raise can.CanOperationError("the transmit buffer of the adapter is full")
+        # After a stall of its owner, earlier messages must not count as those that still wait.
+        self._transmit(now_s)
         self._wire.put(now_s, can_id, (data,), from_host=True)
         if not self.faults.bus_off:
             for device in tuple(self._devices):

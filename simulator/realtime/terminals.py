@@ -138,7 +138,8 @@ class SerialPty:
         if self._unsent:
             with suppress(BlockingIOError):
                 self._unsent = self._unsent[os.write(self.master_fd, self._unsent) :]
-        return now_s if self._unsent else self._device.next_event_s()
+        # A full terminal is looked at again with the next step of the world.
+        return math.inf if self._unsent else self._device.next_event_s()
 
 
 class BoardPty(SerialPty):

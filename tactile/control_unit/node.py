@@ -302,7 +302,7 @@ class TactileLink(LatchingSource):
                 self._command("PRE-OPERATIONAL")
             except errors.LinkFault as fault:
                 # The command does not reach the unit; its frames end without SYNCs.
-                self.fault = self.fault or fault
+                self.fault = fault
         self._source.close()
 
     def _take_forces(self) -> tuple[ForceMessage, ...]:

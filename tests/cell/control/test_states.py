@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,7 +25,7 @@ from cell.control.states import (
     is_allowed,
     next_state,
 )
-from cell.errors import CellStateError, CellStopped, PositionerError
+from cell.errors import CellStateError, CellStopped, HandLost, PositionerError
 from cell.recording.reader import read_recording
 from docs.tools.states_page import command_path
 from gripper.errors import BusTimeout, ServoFault
@@ -216,19 +217,26 @@ def life_of(state: CellState, phase: GripperPhase, **hand: Any) -> CellLifecycle
 
 @pytest.mark.parametrize(
     ("phase", "state", "held"),
-    [(GripperPhase.IDLE, CellState.IDLE, []), (GripperPhase.HOLDING, CellState.ABORTED, ["kept"])],
+    [
+        (GripperPhase.IDLE, CellState.IDLE, []),
+        (GripperPhase.HOLDING, CellState.ABORTED, ["kept", "sensor off"]),
+    ],
 )
 def test_a_pose_that_is_not_reached_is_a_fault_beside_a_part_alone(phase, state, held) -> None:
     calls: list[str] = []
-    life = life_of(CellState.EXECUTE, phase, keep_grip=lambda: calls.append("kept"))
+    acts = {"keep_grip": "kept", "stop_sensor": "sensor off"}
+    life = life_of(
+        CellState.EXECUTE, phase, **{name: partial(calls.append, act) for name, act in acts.items()}
+    )
     with pytest.raises(PositionerError), life.latching_faults():
         raise PositionerError("the arm stands")
-    assert (life.state, calls, life.faults.total()) == (state, held, len(held))
+    assert (life.state, calls, life.faults.total()) == (state, held, bool(held))
 
 
 def test_a_grip_that_cannot_be_confirmed_does_not_hide_the_fault() -> None:
     unplugged = raising(BusTimeout("the cable is out"))
-    life = life_of(CellState.EXECUTE, GripperPhase.RAMPING, keep_grip=unplugged)
+    lost = raising(HandLost("gone"))
+    life = life_of(CellState.EXECUTE, GripperPhase.RAMPING, keep_grip=unplugged, stop_sensor=lost)
     with pytest.raises(ServoFault), life.latching_faults():
         raise ServoFault(1, "overload", bits=0x20)
     assert (life.state, life.status.fault_number) == (CellState.ABORTED, 109)

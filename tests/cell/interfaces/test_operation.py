@@ -556,20 +556,24 @@ def test_a_signal_first_stops_the_motion(meddle, run_serve, moment) -> None:
 
     built = meddle(arrange)
     zero = "always" if moment == "self-zero of the start" else "on_demand"
-    run_serve(command, zero=zero, kind="simulated")
+    ended = run_serve(command, zero=zero, kind="simulated")
+    assert "a part may be in the grip; to release it" in ended.stderr.replace("\n", " ")
     left_n = min(built[0].simulated.world.contact_force_n())
     assert 2.0 < pressed_n[0] < left_n + 0.8
     assert left_n < 4.0  # of 9 N
 
 
-def test_a_cell_with_a_fault_at_its_start_is_served_so_that_clients_can_clear_it(run_serve) -> None:
+@pytest.mark.parametrize(("fault", "number"), [("servo1.off", 111), ("servo1.error=32", 109)])
+def test_a_cell_with_a_fault_at_its_start_is_served_so_that_clients_can_clear_it(
+    run_serve, fault, number
+) -> None:
     seen = []
 
     def meanwhile(_over: threading.Event, service: Any, _manager: Any) -> None:
         seen.append(service.plugin.status())
 
-    ended = run_serve(meanwhile, "--fault", "servo1.off", zero="on_demand", kind="simulated")
-    assert (seen[0].state, seen[0].fault_number) == ("ABORTED", 111)
+    ended = run_serve(meanwhile, "--fault", fault, zero="on_demand", kind="simulated")
+    assert (seen[0].state, seen[0].fault_number) == ("ABORTED", number)
     assert "the cell is not ready: " in ended.stderr
     assert "modbus_port" in json.loads(ended.stdout)
 

@@ -488,9 +488,9 @@ def test_the_end_of_the_interface_ends_sockets_and_threads() -> None:
 
 def test_tls_by_certificate_files(connect, tls, tmp_path) -> None:
     token = tmp_path / "token"
-    token.write_text("a token of the operator\n")
+    token.write_text("a-token-of-the-operator\n")
     _, host = connect(**tls, serve__token_file=str(token))
-    assert host.token == "a token of the operator"
+    assert host.token == "a-token-of-the-operator"
     trusted = ssl.create_default_context(cafile=tls["serve__tls_certificate"])
     link = HTTPSConnection("127.0.0.1", host.port, timeout=20.0, context=trusted)
     link.request("GET", "/api/info", headers={"Authorization": f"Bearer {host.token}"})
@@ -498,7 +498,7 @@ def test_tls_by_certificate_files(connect, tls, tmp_path) -> None:
     link.close()
 
     async def watch() -> None:
-        url = f"wss://127.0.0.1:{host.port}/api/live?token=a%20token%20of%20the%20operator"
+        url = f"wss://127.0.0.1:{host.port}/api/live?token=a-token-of-the-operator"
         async with open_in_one_thread(url, ssl=trusted) as live:
             for _ in range(20):
                 assert json.loads(await live.recv())["status"]["state"] == "IDLE"

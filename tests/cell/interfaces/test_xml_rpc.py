@@ -135,7 +135,7 @@ def test_a_verification_has_its_answer_and_a_lease_its_end(connect) -> None:
     lease = cell.acquire("robot")
     assert cell.alive(lease) == 0
     served.plugin.pause()
-    job = cell.identify(lease, 1, 6.0, True)
+    job = cell.identify(lease, 1.0, 6.0, 1)  # as a robot computes them
     assert cell.same(job) == -1
     served.plugin.go_on()
     assert (cell.same(job), cell.same(cell.verify(lease))) == (-513, 1)
@@ -153,7 +153,7 @@ def test_no_method_raises_whatever_it_is_given(connect) -> None:
     kind = {"Content-Type": "Text/XML; charset=utf-8", "Host": "[::1]:5021"}
     assert loads(post(served, state, **kind)[1])[0] == (4,)
     assert cell.identify(1, 1, 1.0, True) == -514
-    for wrong in ((1, 1), ("x", 1, 1.0, True), (1, {}, 1.0, True)):
+    for wrong in ((1, 1), ("x", 1, 1.0, True), (1, {}, 1.0, True), (1, 1.5, 1.0, True)):
         assert cell.identify(*wrong) == -501
     served.service.stop = (stops := []).append
     assert (cell.hold("x"), stops) == (-501, ["by XML-RPC 127.0.0.1"])
@@ -313,13 +313,13 @@ def test_the_robot_program_of_the_example_ends_with_the_part_where_it_is_held(ro
 
 
 def test_who_commands_names_the_secret_where_there_is_one(connect, tmp_path) -> None:
-    (tmp_path / "secret").write_text("sixteen letters!\n")
+    (tmp_path / "secret").write_text("sixteen-letters~\n")
     served, cell = connect(serve__secret_file=str(tmp_path / "secret"))
     for given in (("robot",), ("wrong", "robot"), ("", "robot"), (1, "robot"), ("\u00fc" * 16,)):
         assert cell.acquire(*given) == -513
     assert served.service.snapshot().commander == ""
     assert cell.hold() == 0
-    lease = cell.acquire("sixteen letters!", "robot")
+    lease = cell.acquire("sixteen-letters~", "robot")
     assert cell.alive(lease) == 0
     assert served.service.snapshot().commander == "robot"
 

@@ -9,6 +9,7 @@ import threading
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 from importlib.metadata import version
@@ -1087,6 +1088,13 @@ def test_full_disk_leaves_the_old_file(number, says, good, tmp_path, monkeypatch
     write_dataset(path, [make_grasp()])
     assert (append_to_dataset(path, [make_grasp()]), len(read_dataset(path))) == (1, 2)
     assert path.stat().st_mode & 0o777 == 0o640
+
+
+def test_programs_that_extend_one_data_set_wait_for_each_other(tmp_path) -> None:
+    path = tmp_path / "d.npz"
+    with ThreadPoolExecutor(4) as pool:
+        before = pool.map(lambda _n: append_to_dataset(path, [make_grasp()]), range(12))
+        assert sorted(before) == list(range(12))
 
 
 def test_a_missing_folder_and_what_is_no_plain_file_are_refused(tmp_path) -> None:

@@ -289,3 +289,11 @@ def test_syncs_that_waited_are_spread_over_the_time_in_which_they_were_sent():
     line = Line(b"O")
     line.adapter.receive(b"t0800\rt0800\r", 1.06, sent_after_s=1.02)
     assert [heard_s for heard_s, *_ in line.device.heard] == pytest.approx([1.03, 1.05])
+    ends_s: list[float] = []
+
+    def answer(_can_id: int, _data: bytes, now_s: float) -> None:
+        ends_s.append(line.device.send(now_s, 0x185, [bytes(8)] * 59) - now_s)
+
+    line.device.receive = answer
+    line.adapter.receive(b"t0800\r" * 6, 1.22, sent_after_s=1.1)
+    assert max(ends_s) == pytest.approx(ends_s[0])

@@ -291,7 +291,9 @@ def test_a_failing_interface_is_bus_off(bench, monkeypatch, error, call) -> None
     monkeypatch.setattr(owner, call, Mock(side_effect=error))
     with pytest.raises(BusOff, match=r"gone.*plugged in"):
         bench.run(0.1)
+    bench.link.fault = NodeEmergency("older")
     bench.link.stop()
+    assert (call == "send") is isinstance(bench.link.fault, BusOff)
 
 
 def test_foreign_and_damaged_messages_are_counted_and_an_error_reset_is_neither(bench) -> None:

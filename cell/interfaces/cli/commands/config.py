@@ -28,10 +28,6 @@ def _known_example(name: str | None) -> str | None:
     return name
 
 
-def _begun(incomplete: str) -> list[str]:
-    return [name for name in _examples() if name.startswith(incomplete)]
-
-
 def init(
     path: Annotated[Path, typer.Argument(help="File to write.")] = options.FOLDER_CONFIG,
     example: Annotated[
@@ -41,7 +37,6 @@ def init(
             help="Example to begin with, for example paper-gripper or pinch-13x6 [default: the "
             "simulated cell].",
             callback=_known_example,
-            autocompletion=_begun,
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,

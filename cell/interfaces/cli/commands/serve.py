@@ -197,27 +197,30 @@ def serve(
         # Before anything moves, so that a used port or a bad token file ends it here.
         open_interfaces(service) as interfaces,
     ):
-        _connect(service)
-        _announce(service, interfaces)
-        if untaught:
-            _teach_first(service, over)
-        service.plugin.follow_real_time(speed)
-        manager = ServiceManager()
-        manager.ready()
-        report_until(over, service, manager)
-        manager.stopping()
-        if config is not None and service.plugin.status().holding:
-            print_note(f"a part may be in the grip; to release it: {release_command(config)}")
+        try:
+            _connect(service)
+            _announce(service, interfaces)
+            if untaught:
+                _teach_first(service, over)
+            service.plugin.follow_real_time(speed)
+            manager = ServiceManager()
+            manager.ready()
+            report_until(over, service, manager)
+            manager.stopping()
+        finally:
+            if config is not None and service.plugin.status().holding:
+                print_note(f"a part may be in the grip; to release it: {release_command(config)}")
 
 
 def _connect(service: Service) -> None:
     """Start the cell; a fault is latched, so that clients see it and can clear it."""
     try:
         service.plugin.connect()
-    except EXPECTED_ERRORS as error:
+    except EXPECTED_ERRORS:
         if service.plugin.status().state == CellState.STOPPED:
             raise
-        print_note(f"the cell is not ready: {error}")
+    if fault := service.plugin.status().fault:
+        print_note(f"the cell is not ready: {fault}")
     if zero_note := service.plugin.health()["zero"]["text"]:
         print_note(zero_note)
 

@@ -103,10 +103,10 @@ def test_a_command_runs_once_with_its_own_number_and_key_alone(connect) -> None:
 
 
 def test_who_commands_writes_the_secret_first_where_there_is_one(connect, tmp_path) -> None:
-    (tmp_path / "secret").write_text("seventeen letters\n")
+    (tmp_path / "secret").write_text("seventeen.letters\n")
     served, plc = connect(serve__secret_file=str(tmp_path / "secret"))
     _, second = connect(served)
-    words = struct.unpack(">9H", b"seventeen letters\0")
+    words = struct.unpack(">9H", b"seventeen.letters\0")
     assert plc.live() == 3
     assert plc.write(32, *words[:-1]) == 0
     assert plc.live() == 3
