@@ -245,6 +245,10 @@ class CanLink:
         next_s = min(next_s, self._flood_due_s, self._wire.next_end_s())
         return min(next_s, self._inbox[0].timestamp) if self._inbox else next_s
 
+    def free_s(self, now_s: float) -> float:
+        """Return when all that waits now will be through, in s."""
+        return self._wire.end_s(now_s, _FLOOD_ID)
+
     def clear(self, now_s: float = math.inf) -> None:
         """Drop messages that arrived until ``now_s`` s, as by closing the adapter."""
         self._transmit(now_s)

@@ -43,19 +43,17 @@ class SlcanAdapter:
         ----------
         sent_after_s
             Earliest time in s at which the client may have sent them, if the exact time is not
-            known. Waiting commands are spread evenly between that time and now, a single one to the
-            middle. So the distance of two SYNCs is at least half of the true one, also when the
-            simulator stalls. A burst of 7.5 ms then ends before the next SYNC after 18 ms. None:
-            ``now_s``.
+            known; None: ``now_s``. Each command is taken at that time, or when the wire is free
+            again, at the latest now. So no SYNC comes into the burst of the one before unless the
+            client has sent it so, also after a stall of the simulator.
         """
         self._input += data
         *lines, rest = self._input.split(b"\r")
         self._input = rest
-        since_s = now_s if sent_after_s is None else min(sent_after_s, now_s)
-        for number, line in enumerate(lines, start=1):
-            if line:
-                at_s = since_s + (now_s - since_s) * (number - 0.5) / len(lines)
-                self._output += self._command(line, at_s)
+        at_s = now_s if sent_after_s is None else min(sent_after_s, now_s)
+        for line in filter(None, lines):
+            at_s = max(at_s, min(now_s, self._link.free_s(at_s)))
+            self._output += self._command(line, at_s)
 
     def transmit(self, now_s: float) -> bytes:
         """Return the bytes for the client until ``now_s`` s."""

@@ -360,9 +360,10 @@ class RealTimeCell:
         self.devices = CellDevices(settings, start_s=now_s - POWERED_BEFORE_S)
         self.devices.world.skip_to(now_s)
         self._world_s = now_s
+        # A step serves them in this order: the time of its start is then that of the CAN bytes.
         lines: dict[str, SerialDevice] = {
-            "servos": self.devices.servo_bus,
             "can": SlcanAdapter(self.devices.can),
+            "servos": self.devices.servo_bus,
         }
         if self.devices.axes_can is not None:
             lines["axes-can"] = SlcanAdapter(self.devices.axes_can)
