@@ -269,9 +269,7 @@ def _positioner(
     """Return the positioner of the config; mypy refuses a kind without a case here."""
     placer: ObjectPlacer | None = None
     if config.positioner.socket:
-        remote = SocketPlacer(config.positioner.socket)
-        undo.callback(remote.close)
-        placer = remote
+        placer = SocketPlacer(config.positioner.socket)
     elif simulated is not None:
         placer = InProcessPlacer(simulated)
     match config.positioner.kind:

@@ -28,11 +28,7 @@ project = "tactile-cell"
 author = "The tactile-cell maintainers"
 release = metadata.version("tactile-cell")
 
-extensions = [
-    "myst_parser",
-    "sphinx.ext.autodoc",
-    "sphinx.ext.napoleon",
-]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["examples"]
 html_theme = "furo"
 html_title = "tactile-cell"

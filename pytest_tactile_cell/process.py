@@ -164,9 +164,7 @@ class CellProcess(AskedCell):
             If the request is refused, or the process is gone or does not answer.
         """
         try:
-            client = SocketPlacer(self.positioner_socket, timeout_s=_REPLY_S)
-            with contextlib.closing(client):
-                return client.ask(request)
+            return SocketPlacer(self.positioner_socket, timeout_s=_REPLY_S).ask(request)
         except PositionerError as error:
             raise CellProcessError(f"{request}: {error}. {self._state()}") from error
 

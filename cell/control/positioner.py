@@ -4,7 +4,6 @@ import json
 import math
 import socket
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import asdict, dataclass, replace
@@ -159,16 +158,6 @@ class SocketPlacer:
     def __init__(self, path: str, *, timeout_s: float = 5.0) -> None:
         self._path = path
         self._timeout_s = timeout_s
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._socket.settimeout(timeout_s)
-        try:
-            self._socket.connect(path)
-        except OSError as error:
-            self._socket.close()
-            raise PositionerError(
-                f"no simulated cell answers at {path} ({error}); is it running?"
-            ) from error
-        self._received = bytearray()
 
     def check(self, label: str) -> None:
         """Ask the other process for an object; see `ObjectPlacer`."""
@@ -184,46 +173,28 @@ class SocketPlacer:
                 f"the simulated cell at {self._path} answers without a pose: {error}"
             ) from error
 
-    def close(self) -> None:
-        """Close the connection; the object stays where it is."""
-        self._socket.close()
-
     def ask(self, request: dict[str, Any]) -> dict[str, Any]:
         """Send one request of `simulator.realtime.process`, return its reply.
 
-        Raises PositionerError if it is refused or the connection is lost.
+        Each request has its own connection: the process may start again between two of them.
+        Raises PositionerError if it is refused, or nobody answers.
         """
         try:
-            self._socket.sendall(json.dumps(request).encode() + b"\n")
-            line = self._line()
-            reply = json.loads(line) if line else None
+            with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as link:
+                link.settimeout(self._timeout_s)
+                link.connect(self._path)
+                link.sendall(json.dumps(request).encode() + b"\n")
+                with link.makefile("rb") as answer:
+                    reply = json.loads(answer.readline(_LONGEST_REPLY))
         except (OSError, ValueError, RecursionError) as error:
-            # A late answer must not be taken for that of the next request.
-            self._socket.close()
             raise PositionerError(
-                f"the connection to the simulated cell at {self._path} is lost: {error}"
+                f"no simulated cell answers at {self._path} ({error}); is it running?"
             ) from error
         if not isinstance(reply, dict):
-            raise PositionerError(f"the simulated cell at {self._path} closed the connection")
+            raise PositionerError(f"the simulated cell at {self._path} answers {reply!r:.40}")
         if "error" in reply:
             raise PositionerError(f"the simulated cell refused: {reply['error']}")
         return reply
-
-    def _line(self) -> bytes:
-        """Return the next line, empty at the end. Raises TimeoutError if it is incomplete."""
-        end_s = time.monotonic() + self._timeout_s
-        while b"\n" not in self._received and len(self._received) < _LONGEST_REPLY:
-            left_s = end_s - time.monotonic()
-            if left_s <= 0.0:
-                raise TimeoutError(f"no answer within {self._timeout_s:g} s")
-            self._socket.settimeout(left_s)
-            data = self._socket.recv(4096)
-            if not data:
-                return b""
-            self._received += data
-        line, _, rest = self._received.partition(b"\n")
-        self._received = rest
-        return bytes(line)
 
 
 class OperatorPositioner:

@@ -56,11 +56,6 @@ class HandConnections:
         """Why each missing line could not be opened."""
         return tuple(map(str, self._missing.values()))
 
-    @property
-    def servos_are_missing(self) -> bool:
-        """Whether the last opening of the servo line failed."""
-        return "servos" in self._missing
-
     def reopen_servos(self) -> ByteStream:
         """Reopen the servo line and return it. Raises PortLost if it cannot be opened."""
         if self._owned:

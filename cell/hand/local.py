@@ -15,6 +15,7 @@ from cell.plugins import SENSORS
 from cell.sensors.guard import GuardedSource
 from gripper.clock import Clock
 from gripper.dynamixel.serial_port import ByteStream, SerialStream
+from gripper.errors import PortLost
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import open_gripper
 from gripper.values.force_sensor import ForceSample
@@ -180,10 +181,12 @@ class LocalHand:
         self.latest = self.latest.then(cycle, force, self._force.take())
 
     def clear_fault(self, *, reboot: bool) -> None:
-        """Acknowledge a fault of the servos; reopen a lost port first."""
-        if self._lines.servos_are_missing or self.bus.port.lost:
+        """Acknowledge a fault of the servos; a port that is lost is opened again."""
+        try:
+            self.gripper.clear_fault(reboot=reboot)
+        except PortLost:
             self.bus.port.use(self._lines.reopen_servos())
-        self.gripper.clear_fault(reboot=reboot)
+            self.gripper.clear_fault(reboot=reboot)
 
     def shutdown(self) -> str:
         """Leave servos and sensor in a defined state; see `Hand`."""

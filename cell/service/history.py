@@ -360,7 +360,7 @@ class History:
         except (sqlite3.Error, OSError, CellError) as error:
             if str(error) != self._refused:
                 text = f"the history is not kept in {self._path}: {error}"
-                self._note(f"{text}; move a damaged file away")
+                self._note(f"{text}; free space on a full disk, move a damaged file away")
             self._refused = str(error)
             self._close_link()
 

@@ -205,11 +205,7 @@ def _states() -> str:
     return _table(
         ("number", "state", "what the cell does", "what the grip does"),
         [
-            (
-                str(state.number),
-                state.value + (" *" if state.acting else ""),
-                *DOES[state],
-            )
+            (str(state.number), state.value + (" *" if state.acting else ""), *DOES[state])
             for state in sorted(CellState, key=lambda state: state.number)
         ],
     )

@@ -214,7 +214,7 @@ class SdkPort:
     def use(self, stream: ByteStream) -> None:
         """Replace a lost stream."""
         self._stream = stream
-        self.is_using = self.lost = False
+        self.is_using = False
         self._unanswered_bytes = 0
         self._ahead = b""
         self._deadline_s = self._end_s = 0.0
@@ -280,8 +280,7 @@ class SdkPort:
         return not self._ahead and self._clock.monotonic() >= self._deadline_s - _TIMER_GRAIN_S
 
     def _lose(self, error: PortLost | OSError) -> NoReturn:
-        """Note the loss of the stream, and raise it as PortLost."""
-        self.lost = True
+        """Raise the loss of the stream as PortLost."""
         if isinstance(error, PortLost):
             raise error
         raise PortLost(f"the servo line is lost: {error}") from error

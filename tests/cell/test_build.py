@@ -24,7 +24,7 @@ from cell.control.states import CellState
 from cell.errors import CellError, ConfigError, PositionerError
 from cell.files import PROGRAM
 from cell.hand.connections import HandConnections
-from cell.hand.local import sensor_settings
+from cell.hand.local import LocalHand, sensor_settings
 from cell.interfaces.cli.app import app
 from cell.plugins import GROUPS, RECOGNIZERS, SENSORS, SERVO_MODELS
 from cell.runtime import simulate
@@ -103,8 +103,9 @@ def test_a_positioner_needs_who_moves(make_bench, kind, complaint, given, made) 
 
 
 def test_a_socket_is_used_where_one_is_named(make_bench, tmp_path) -> None:
+    made = positioner(make_bench(small_config(positioner__socket=str(tmp_path / "s"))))
     with pytest.raises(PositionerError, match="no simulated cell answers"):
-        make_bench(small_config(positioner__socket=str(tmp_path / "s")))
+        made.present("ball")
 
 
 @pytest.mark.parametrize(
@@ -416,7 +417,7 @@ def test_one_line_may_be_missing_where_that_is_allowed_but_not_both(openers) -> 
             use()
     servos.side_effect = None
     assert lines.reopen_servos() is servos.return_value
-    assert (lines.missing, lines.servos_are_missing) == ((), False)
+    assert lines.missing == ()
 
     can.side_effect = NO_BUS
     lines = HandConnections(servos, can, partial=True)
@@ -432,6 +433,13 @@ def test_one_line_may_be_missing_where_that_is_allowed_but_not_both(openers) -> 
     servos.side_effect, can.side_effect = NO_PORT, NO_BUS
     with pytest.raises(PortLost, match="no port; no bus"):
         HandConnections(servos, can, partial=True)
+
+
+def test_a_clear_opens_a_port_that_turns_out_to_be_lost() -> None:
+    hand = Mock()
+    hand.gripper.clear_fault.side_effect = [PortLost("gone"), None]
+    LocalHand.clear_fault(hand, reboot=False)
+    hand.bus.port.use.assert_called_once_with(hand._lines.reopen_servos())
 
 
 def test_ends_of_somebody_else_are_not_closed(openers) -> None:

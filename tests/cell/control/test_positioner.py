@@ -2,9 +2,11 @@
 
 import json
 import socket
-from collections.abc import Iterator
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import asdict
+from functools import partial
 from math import radians
 from pathlib import Path
 from typing import Any
@@ -74,28 +76,33 @@ def test_host_moves_or_refuses(answer, reached: Pose | str) -> None:
 
 
 @pytest.fixture
-def placed(tmp_path: Path) -> Iterator[tuple[SocketPlacer, socket.socket]]:
-    """A placer, and the end of its connection at the simulated cell."""
-    with socket.socket(socket.AF_UNIX) as listener:
+def placed(tmp_path: Path) -> Iterator[tuple[SocketPlacer, Callable[[bytes], Future[bytes]]]]:
+    """A placer, and what answers its next request as the simulated cell, and returns it."""
+    with socket.socket(socket.AF_UNIX) as listener, ThreadPoolExecutor(1) as pool:
         listener.bind(str(tmp_path / "s"))
         listener.listen(1)
-        placer = SocketPlacer(str(tmp_path / "s"), timeout_s=0.05)
-        with closing(placer), listener.accept()[0] as peer:
-            yield placer, peer
+
+        def answer(reply: bytes) -> bytes:
+            with listener.accept()[0] as peer:
+                asked = peer.recv(4096)
+                peer.sendall(reply)
+                peer.recv(1)  # until the client has ended
+            return asked
+
+        yield SocketPlacer(str(tmp_path / "s"), timeout_s=0.05), partial(pool.submit, answer)
 
 
 def test_socket_placer_speaks_json_lines(placed, tmp_path) -> None:
     with pytest.raises(PositionerError, match="no simulated cell answers"):
-        SocketPlacer(str(tmp_path / "none"))
-    placer, peer = placed
-    reply = json.dumps({"ok": True, "pose": asdict(Pose(x_m=3e-3))}).encode()
-    peer.sendall(reply + b'\n{"error": "no such object"}\nnonsense\n')
+        SocketPlacer(str(tmp_path / "none")).place("ball", POSE)
+    placer, answer = placed
+    request = answer(json.dumps({"ok": True, "pose": asdict(Pose(x_m=3e-3))}).encode() + b"\n")
     assert placer.place("ball", POSE) == Pose(x_m=3e-3)
-    asked = json.loads(peer.recv(4096).splitlines()[0])
+    asked = json.loads(request.result())
     assert (asked["place"], asked["pose"]["x_m"]) == ("ball", POSE.x_m)
-    for complaint in ("no such object", "lost", "lost"):
-        with pytest.raises(PositionerError, match=complaint):
-            placer.place("x", POSE)
+    answer(b'{"error": "no such object"}\n')
+    with pytest.raises(PositionerError, match="no such object"):
+        placer.place("x", POSE)
 
 
 @pytest.mark.parametrize(
@@ -107,12 +114,13 @@ def test_socket_placer_speaks_json_lines(placed, tmp_path) -> None:
         b"x" * 70_000,
         b"\xff\xfe\n",
         b"{",  # it does not end
+        b"[]\n",
     ],
 )
 def test_a_reply_that_is_none_is_refused(placed, reply: bytes) -> None:
-    placer, peer = placed
-    peer.sendall(reply)
-    with pytest.raises(PositionerError, match="simulated cell at"):
+    placer, answer = placed
+    answer(reply)
+    with pytest.raises(PositionerError, match="simulated cell "):
         placer.place("ball", POSE)
 
 

@@ -2,7 +2,6 @@
 
 import json
 import time
-from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
@@ -68,16 +67,15 @@ def simulate(
 
 def _be_hands(folder: Path, text: str) -> None:
     """Send a request to the simulated cell that runs in a folder; print the reply."""
-    with closing(SocketPlacer(str(folder / "positioner.sock"))) as cell:
-        hands = Hands(cell.ask, time.sleep)
-        try:
-            while text == "-":
-                try:
-                    print_line(hands.do(ask("hands> ")))
-                except (CellError, SimulatorError) as error:
-                    print_error(str(error))
-            print_line(hands.do(text))
-        except EOFError:
-            return
-        except SimulatorError as error:
-            raise ConfigError(str(error)) from error
+    hands = Hands(SocketPlacer(str(folder / "positioner.sock")).ask, time.sleep)
+    try:
+        while text == "-":
+            try:
+                print_line(hands.do(ask("hands> ")))
+            except (CellError, SimulatorError) as error:
+                print_error(str(error))
+        print_line(hands.do(text))
+    except EOFError:
+        return
+    except SimulatorError as error:
+        raise ConfigError(str(error)) from error
