@@ -28,11 +28,7 @@ with suppress(ImportError):
     settings.load_profile("tests")
 
 _NAME = "pytest_tactile_cell"
-pytest_plugins = [
-    "pytester",
-    "tests.processor_time",
-    *([] if _NAME in sys.modules else [_NAME]),
-]
+pytest_plugins = ["pytester", "tests.processor_time", *([] if _NAME in sys.modules else [_NAME])]
 
 _LOAD_BEFORE = os.getloadavg()[0]
 """Load of the machine before these tests."""

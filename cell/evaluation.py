@@ -96,7 +96,7 @@ class EvaluationResult:
             "recognizers": {
                 name: _figures(one.full) | {"without_aperture": _figures(one.without_aperture)}
                 for name, one in self.recognizers.items()
-            },
+            }
         }
 
 

@@ -307,9 +307,7 @@ CONFIG = Format("config", "tactile-cell-config/1", "write that, or leave the key
 DATASET = Format("grasp data set", "grasp-dataset/1", _SAME)
 RECORDING = Format("recording", "tactile-cell-recording/2", _SAME)
 MODEL = Format(
-    "model",
-    "tactile-cell-model/1",
-    "train it again: `tactile-cell model train DATASETS -o MODEL`",
+    "model", "tactile-cell-model/1", "train it again: `tactile-cell model train DATASETS -o MODEL`"
 )
 COMMISSIONING = Format(
     "commissioning", "tactile-cell-commissioning/1", "move it away to commission anew"

@@ -6,10 +6,7 @@ from .mechanics.kinematics import (
     ParallelLinkage as ParallelLinkage,
     RackPinion as RackPinion,
 )
-from .settings import (
-    GripperSettings as GripperSettings,
-    ServoSettings as ServoSettings,
-)
+from .settings import GripperSettings as GripperSettings, ServoSettings as ServoSettings
 from .values.force_sensor import ForceSample as ForceSample, ForceSensor as ForceSensor
 from .values.outcome import GraspOutcome as GraspOutcome, GraspResult as GraspResult
 from .values.state import (

@@ -86,12 +86,7 @@ class Gripper:
     """
 
     def __init__(
-        self,
-        bus: ServoBus,
-        mechanics: Mechanics,
-        *,
-        clock: Clock,
-        force_sensor: ForceSensor,
+        self, bus: ServoBus, mechanics: Mechanics, *, clock: Clock, force_sensor: ForceSensor
     ) -> None:
         self.bus = bus
         """The servos' line."""

@@ -141,12 +141,7 @@ class VirtualCell:
         ).recognizer
 
     def identify(
-        self,
-        recognizer: Recognizer,
-        present: str,
-        *,
-        seed: int = 1,
-        early: bool = False,
+        self, recognizer: Recognizer, present: str, *, seed: int = 1, early: bool = False
     ) -> Identification:
         """Bring an object and identify it; only the simulator uses the name ``present``.
 

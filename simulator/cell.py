@@ -25,9 +25,7 @@ class SimulatedCell:
     """
 
     def __init__(
-        self,
-        settings: SimulatorSettings | None = None,
-        clock: VirtualClock | None = None,
+        self, settings: SimulatorSettings | None = None, clock: VirtualClock | None = None
     ) -> None:
         self.settings = settings or SimulatorSettings()
         self.clock = clock or VirtualClock()

@@ -13,10 +13,7 @@ from .sensor.calibration import (
 )
 from .sensor.grip_force import GripForce as GripForce
 from .sensor.opening import open_sensor as open_sensor
-from .sensor.sensor import (
-    TactileReading as TactileReading,
-    TactileSensor as TactileSensor,
-)
+from .sensor.sensor import TactileReading as TactileReading, TactileSensor as TactileSensor
 from .sensor.settings import SensorSettings as SensorSettings
 from .sensor.tare import TareResult as TareResult
 from .source import FrameSource as FrameSource, TactileFrame as TactileFrame

@@ -14,14 +14,7 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from benchmarks._measure import line, repeats
-from benchmarks.paper.reproduction import (
-    LABELS,
-    SEED,
-    TOUCH_N,
-    press,
-    random_grasp,
-    still_surfaces,
-)
+from benchmarks.paper.reproduction import LABELS, SEED, TOUCH_N, press, random_grasp, still_surfaces
 from recognition.errors import QuadricError
 from recognition.grasp import Grasp
 from recognition.quadric.quadric import (

@@ -33,13 +33,7 @@ from recognition.grasp import Grasp, PadArray
 from recognition.quadric.level import MeanFrames, level_of
 from recognition.quadric.quadric import PAPER_SWEEP, LevelBands, Reading, find_thresholds, sweep
 from recognition.recognizers import make_trainer
-from simulator.world.pads import (
-    Foam,
-    PressureGrid,
-    ideal_counts,
-    noise_counts,
-    resistance_mohm,
-)
+from simulator.world.pads import Foam, PressureGrid, ideal_counts, noise_counts, resistance_mohm
 from simulator.world.shapes import PAPER_OBJECTS, ObjectPose, posed_heights, resting_pose
 from tactile.layout import paper_layout
 

@@ -21,11 +21,7 @@ from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
 
 
 def cell_grasps(
-    objects: Mapping[str, str],
-    n_grasps: int,
-    *,
-    seed: int,
-    **differs: Any,
+    objects: Mapping[str, str], n_grasps: int, *, seed: int, **differs: Any
 ) -> list[Grasp]:
     """Have a simulated cell measure its zero and grasp each object (label -> shape) some times.
 

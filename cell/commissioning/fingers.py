@@ -154,9 +154,7 @@ def _swinging(
     solution = least_squares(residuals, start, bounds=(least, most), x_scale=(0.01, 0.1))
     link_m, closed_rad = (float(value) for value in solution.x)
     linkage = ParallelLinkage(
-        link_m=link_m,
-        offset_m=-link_m * float(np.sin(closed_rad)),
-        n_servos=angles.shape[1],
+        link_m=link_m, offset_m=-link_m * float(np.sin(closed_rad)), n_servos=angles.shape[1]
     )
     return LinkageFit(linkage, closed_rad, residual_m(linkage, angles + closed_rad, sizes_m))
 
@@ -424,10 +422,7 @@ class _Hands:
         frictions_a = (servo.drive.most_breakaway_a for servo in settings.servos)
         cap_a = min(settings.current_max_a, *frictions_a)
         settings = replace(
-            settings,
-            current_max_a=cap_a,
-            aperture_open_m=widest_m,
-            approach_force_n=_FIRST_FORCE_N,
+            settings, current_max_a=cap_a, aperture_open_m=widest_m, approach_force_n=_FIRST_FORCE_N
         )
         group = Servos(self._bus, Mechanics(settings, linkage), self._bench.clock)
 

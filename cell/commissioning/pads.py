@@ -504,10 +504,7 @@ def _force_n(sensor: TactileSensor, pad: int, counts: NDArray[np.float64]) -> fl
 
 
 def judge_law(
-    tactile: TactileConfig,
-    loads: Sequence[Sequence[Load]],
-    notes: Notes,
-    adc_max: int = 0,
+    tactile: TactileConfig, loads: Sequence[Sequence[Load]], notes: Notes, adc_max: int = 0
 ) -> None:
     """Judge the law by the loads on both inner pads, and correct it.
 

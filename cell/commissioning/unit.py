@@ -17,12 +17,7 @@ from cell.commissioning.ports import lasting_name
 from cell.config.file import changed_config
 from cell.config.section import SIMULATED
 from cell.config.sensor import SensorLines
-from cell.config.tactile import (
-    LONGEST_SYNC_MS,
-    TactileConfig,
-    layout_from_config,
-    link_settings,
-)
+from cell.config.tactile import LONGEST_SYNC_MS, TactileConfig, layout_from_config, link_settings
 from cell.hand.local import taxel_sensor
 from tactile.can.bus import CanBus, MissingBus
 from tactile.can.sdo_client import PolledSdoClient

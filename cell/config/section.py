@@ -35,11 +35,7 @@ class Section(BaseModel):
     """A part of the config: strict, frozen, finite numbers, no unknown keys."""
 
     model_config = ConfigDict(
-        strict=True,
-        extra="forbid",
-        frozen=True,
-        allow_inf_nan=False,
-        use_attribute_docstrings=True,
+        strict=True, extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
     )
 
     @classmethod

@@ -12,11 +12,7 @@ from cell.plugins import SENSORS
 from tactile.control_unit.settings import LinkSettings
 from tactile.errors import CalibrationError, LayoutError
 from tactile.layout import LAYOUTS, Face, Pad, PadMount, TaxelLayout, taxel_order
-from tactile.sensor.calibration import (
-    Calibration,
-    FoamCalibration,
-    TableCalibration,
-)
+from tactile.sensor.calibration import Calibration, FoamCalibration, TableCalibration
 
 FASTEST_BITRATE = 1_000_000
 """Largest bit rate of a CAN bus in bit/s."""

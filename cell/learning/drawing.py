@@ -60,10 +60,7 @@ class PressedPad:
 
 
 def reaches_m(
-    drawing: Drawing,
-    pose: Pose,
-    beds: Sequence[PadBed],
-    aslant_rad: Sequence[float] = (0.0, 0.0),
+    drawing: Drawing, pose: Pose, beds: Sequence[PadBed], aslant_rad: Sequence[float] = (0.0, 0.0)
 ) -> list[NDArray[np.float64]]:
     """Return the distance in m that a posed object reaches towards each pad, over the pads' grids.
 

@@ -166,9 +166,7 @@ class TaughtModel:
         grasps = [grasp for grasp in self.training_set if grasp.label not in few]
         try:
             trained = train(
-                grasps or self.training_set,
-                wanted.recognizer,
-                use_aperture=wanted.use_aperture,
+                grasps or self.training_set, wanted.recognizer, use_aperture=wanted.use_aperture
             ).with_caution(wanted.caution)
         except CellError as error:
             raise CellError(f"{error}; the grasps are kept for the next teaching") from error

@@ -41,12 +41,7 @@ def gauged(recognizer: DriftFollowing, label: str, grasps: Sequence[Grasp]) -> D
 
 
 @one_blas_thread()
-def train(
-    grasps: Sequence[Grasp],
-    name: str,
-    *,
-    use_aperture: bool = True,
-) -> Trained:
+def train(grasps: Sequence[Grasp], name: str, *, use_aperture: bool = True) -> Trained:
     """Train one kind of recognizer.
 
     Raises CellError if the grasps are too few or unsuitable; the message names what is missing.

@@ -177,12 +177,7 @@ class TactileCellPlugin:
         _check_save(save, model)
         self._file = tasks.ModelFile(self.model, None if save is None else Path(save))
         self.cell = build_cell(
-            checked,
-            folder=folder,
-            mover=mover,
-            places=places,
-            ask=ask,
-            note=note,
+            checked, folder=folder, mover=mover, places=places, ask=ask, note=note
         )
         """The cell itself; only the thread of the plugin moves it."""
         controller = self.cell.controller

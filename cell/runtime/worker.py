@@ -171,10 +171,7 @@ class CellWorker:
         self._jobs: dict[int, Job] = {}
         self._newest = self._named = 0
         self._thread = threading.Thread(
-            target=_serve,
-            args=(weakref.ref(self), self._queue),
-            name="tactile-cell",
-            daemon=True,
+            target=_serve, args=(weakref.ref(self), self._queue), name="tactile-cell", daemon=True
         )
         self._thread.start()
 
@@ -345,8 +342,7 @@ class CellWorker:
 
 
 def _serve(
-    worker: "weakref.ref[CellWorker]",
-    work: "queue.SimpleQueue[Callable[[], None] | None]",
+    worker: "weakref.ref[CellWorker]", work: "queue.SimpleQueue[Callable[[], None] | None]"
 ) -> None:
     """Carry out the queue until its end, or until the worker is gone."""
     idle_period_s = None

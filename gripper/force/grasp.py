@@ -6,12 +6,7 @@ from dataclasses import replace
 
 from gripper.errors import GripContradicted, GripperStateError, PartLost
 from gripper.force.approach.approach import Approach, ApproachEvent, ContactRest
-from gripper.force.approach.mechanics_proof import (
-    ZERO_RANGE_M,
-    closes_farther,
-    meeting,
-    not_met,
-)
+from gripper.force.approach.mechanics_proof import ZERO_RANGE_M, closes_farther, meeting, not_met
 from gripper.force.certainty import RUN_STEPS, STEADY_S
 from gripper.force.control.grip_control import GripControl
 from gripper.force.estimates.free_motion import FreeMotion
@@ -146,11 +141,7 @@ class GraspRun:
         """Return when no measurement shows a part; else raise GripContradicted."""
         self._set_phase(GripperPhase.HOLDING)
         step = EmptyGrip(
-            self._mechanics,
-            state,
-            stiffness_n_m=stiffness_n_m,
-            approached=approached,
-            ran=ran,
+            self._mechanics, state, stiffness_n_m=stiffness_n_m, approached=approached, ran=ran
         )
         self._runner.run(step.step)
 
@@ -362,12 +353,7 @@ class ContactStep(GripStep):
     """
 
     def __init__(
-        self,
-        ramp: ForceRamp,
-        reached: Approach,
-        end: threading.Event,
-        *,
-        slip: LevelSlip | None,
+        self, ramp: ForceRamp, reached: Approach, end: threading.Event, *, slip: LevelSlip | None
     ) -> None:
         super().__init__(reached.settings, None, ramp, slip=slip)
         self._reached, self._contact = reached, reached.state

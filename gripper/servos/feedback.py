@@ -316,11 +316,7 @@ class Feedback:
     """
 
     def __init__(
-        self,
-        bus: ServoBus,
-        mechanics: Mechanics,
-        clock: Clock,
-        check_torque: Callable[[int], None],
+        self, bus: ServoBus, mechanics: Mechanics, clock: Clock, check_torque: Callable[[int], None]
     ) -> None:
         settings = mechanics.settings
         self.last: ServoFeedback | None = None

@@ -333,11 +333,7 @@ def _answers_of(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[_Answer
 
 
 def _leave_out(
-    train: Sequence[Grasp],
-    test: Sequence[Grasp],
-    trainer: Trainer,
-    n_groups: int,
-    mapper: Mapper,
+    train: Sequence[Grasp], test: Sequence[Grasp], trainer: Trainer, n_groups: int, mapper: Mapper
 ) -> list[_Scores]:
     """Return the scores for each group of left-out labels."""
     labels = sorted({g.label for g in train})

@@ -232,10 +232,7 @@ def held_part(grasp: Grasp, rest: Rest) -> tuple[Grasp, Ramp]:
 
 
 def _rest_now(
-    counts: NDArray[np.float64],
-    taught: NDArray[np.float64],
-    noise: float,
-    stuck: NDArray[np.bool_],
+    counts: NDArray[np.float64], taught: NDArray[np.float64], noise: float, stuck: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
     if _starts_loaded(counts, taught, stuck):
         return taught

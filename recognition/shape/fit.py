@@ -211,10 +211,7 @@ class KindEvidence:
     def tempered(self, share: float) -> "KindEvidence":
         """Return the same with the weight of a ``share`` of a grasp."""
         return replace(
-            self,
-            level=share * self.level,
-            eta=share * self.eta,
-            precision=share * self.precision,
+            self, level=share * self.level, eta=share * self.eta, precision=share * self.precision
         )
 
 

@@ -35,12 +35,7 @@ class ResistivePads:
     """The matrices of both fingers, read by 10-bit converters that return 8 bits."""
 
     def __init__(
-        self,
-        world: PhysicalWorld,
-        layout: TaxelLayout,
-        faults: ControlUnitFaults,
-        *,
-        seed: int = 0,
+        self, world: PhysicalWorld, layout: TaxelLayout, faults: ControlUnitFaults, *, seed: int = 0
     ) -> None:
         self._world, self._layout, self._faults = world, layout, faults
         self._rng = np.random.default_rng([seed, 2])

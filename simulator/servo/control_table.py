@@ -36,10 +36,7 @@ GAINS = (
 """Items that a change of Operating Mode sets to their defaults."""
 _X330_MODELS = frozenset({1190, 1200, 1210, 1220, 1230, 1240})
 """Model numbers of XL330-M077, XL330-M288, XC330-M181, -T181, -M288 and -T288."""
-_FACTORY_GAINS = {
-    "XL330-M288": (1600, 180, 0, 0, 400),
-    "XC330-M288": (1600, 50, 500, 0, 1100),
-}
+_FACTORY_GAINS = {"XL330-M288": (1600, 180, 0, 0, 400), "XC330-M288": (1600, 50, 500, 0, 1100)}
 """Gains of the models that differ from the XM430's (e-Manual), in the order of `GAINS`."""
 _X430_GAINS = (1920, 100, 0, 0, 800)
 _X430_D_GAIN_IN_MODE_5 = 4000

@@ -160,9 +160,7 @@ def data_sheet_drive(model: ServoModel, load_friction: float = 0.0) -> Drive:
         kt_nm_a=more * sheet.kt_nm_a,
         back_emf_v_s=sheet.voltage_v * (1.0 - idle_share) / sheet.no_load_rad_s,
         friction=Friction(
-            base_nm=more * sheet.friction_nm,
-            load=load_friction,
-            viscous_nm_s=viscous_nm_s,
+            base_nm=more * sheet.friction_nm, load=load_friction, viscous_nm_s=viscous_nm_s
         ),
         inertia_kg_m2=sheet.inertia_kg_m2,
         winding_ohm=sheet.winding_ohm,
@@ -206,8 +204,7 @@ def _xm430(kt_nm_a: float, back_emf_v_s: float, inertia_kg_m2: float) -> Spread:
             kt_nm_a=kt_nm_a,
             back_emf_v_s=back_emf_v_s,
             friction=Friction(
-                base_nm=_XM430_FRICTION_A * kt_nm_a,
-                viscous_nm_s=_XM430_VISCOUS_A_S * kt_nm_a,
+                base_nm=_XM430_FRICTION_A * kt_nm_a, viscous_nm_s=_XM430_VISCOUS_A_S * kt_nm_a
             ),
             inertia_kg_m2=inertia_kg_m2,
             winding_ohm=5.217,

@@ -166,11 +166,7 @@ class ServoNoise:
 
 
 FOLLOWS_POSITION = frozenset(
-    {
-        OperatingMode.POSITION,
-        OperatingMode.EXTENDED_POSITION,
-        OperatingMode.CURRENT_BASED_POSITION,
-    }
+    {OperatingMode.POSITION, OperatingMode.EXTENDED_POSITION, OperatingMode.CURRENT_BASED_POSITION}
 )
 """Modes with a position loop."""
 

@@ -71,9 +71,7 @@ class PolledSdoClient(SdoClient):
         timeout_s: float,
     ) -> None:
         super().__init__(  # type: ignore[no-untyped-call]
-            COB_SDO_REQUEST + node_id,
-            COB_SDO_RESPONSE + node_id,
-            dictionary,
+            COB_SDO_REQUEST + node_id, COB_SDO_RESPONSE + node_id, dictionary
         )
         self.name = name
         self._clock = clock

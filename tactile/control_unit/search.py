@@ -73,9 +73,7 @@ def _traffic(bus: can.BusABC, duration_s: float, requests: Sequence[can.Message]
         if message.arbitration_id >= COB_SDO_RESPONSE and not of_another_kind(message):
             scanner.on_message_received(message.arbitration_id)
     return BusTraffic(
-        messages=len(whole),
-        errors=len(received) - len(whole),
-        nodes=tuple(sorted(scanner.nodes)),
+        messages=len(whole), errors=len(received) - len(whole), nodes=tuple(sorted(scanner.nodes))
     )
 
 

@@ -147,9 +147,7 @@ class NodeWatch:
             settings.max_foreign_hz,
         )
         self._unusable_limit = TrafficLimit(
-            "damaged messages",
-            "check cable, termination, bit rate and adapter",
-            _MAX_UNUSABLE_HZ,
+            "damaged messages", "check cable, termination, bit rate and adapter", _MAX_UNUSABLE_HZ
         )
         self._in_operation = False
         self._heartbeat_at_s, self._passive_since_s = -inf, inf

@@ -21,12 +21,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks import __main__ as command
 from benchmarks.__main__ import MODULES
 from benchmarks.paper.method import KINDS, SOLVERS, claims, column_sums, ramp_surface
-from benchmarks.paper.reproduction import (
-    levels_of,
-    one_frame,
-    press,
-    record,
-)
+from benchmarks.paper.reproduction import levels_of, one_frame, press, record
 from benchmarks.performance import servo_logs, soak
 from benchmarks.performance.servo_logs import Bench, Log, main, read_logs
 from cell.recording.dataset import write_dataset

@@ -30,11 +30,7 @@ STICKING = Drive(
     kt_nm_a=2.8591851666071726,
     back_emf_v_s=2.8591851666071726,
     friction=Friction(
-        base_nm=0.219,
-        drive=0.499,
-        load=0.014,
-        load_quadratic_per_nm=0.0056,
-        viscous_nm_s=0.0452,
+        base_nm=0.219, drive=0.499, load=0.014, load_quadratic_per_nm=0.0056, viscous_nm_s=0.0452
     ),
     inertia_kg_m2=0.02189596382194143,
     winding_ohm=5.217391304347826,

@@ -302,11 +302,7 @@ def test_a_drive_whose_host_is_gone_stops_by_itself(make_drive) -> None:
 
 
 @pytest.mark.parametrize(
-    ("code", "text"),
-    [
-        (0x2342, "error 2342h: current"),
-        (0xFF07, "error FF07h: device specific"),
-    ],
+    ("code", "text"), [(0x2342, "error 2342h: current"), (0xFF07, "error FF07h: device specific")]
 )
 def test_error_codes_have_words(code: int, text: str) -> None:
     assert od.error_code_text(code) == text

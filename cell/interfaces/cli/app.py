@@ -103,9 +103,7 @@ class Group(TyperGroup):
     """The program, or a group of commands: its help lists them by panels and loads none."""
 
     def __init__(
-        self,
-        panels: Mapping[str, Mapping[str, tuple[str, str]]] = _PANELS,
-        **settings: Any,
+        self, panels: Mapping[str, Mapping[str, tuple[str, str]]] = _PANELS, **settings: Any
     ) -> None:
         self._panels = panels
         made = {
@@ -154,8 +152,7 @@ def _print_version(wanted: bool) -> None:
 @app.callback()
 def options(
     version: Annotated[
-        bool,
-        typer.Option("--version", help="Print the version and end.", callback=_print_version),
+        bool, typer.Option("--version", help="Print the version and end.", callback=_print_version)
     ] = False,
 ) -> None:
     """Identify parts by touch."""

@@ -300,11 +300,7 @@ class ForceLaw:
         )
 
     def _starting_n(
-        self,
-        period: Period,
-        sample: ForceSample,
-        error_n: float,
-        frictions_n: tuple[float, float],
+        self, period: Period, sample: ForceSample, error_n: float, frictions_n: tuple[float, float]
     ) -> float:
         """Return the push in N on fingers at rest: 0, or one that starts them."""
         rate_n_s, sign = self.plan.rate_n_s, copysign(1.0, error_n)

@@ -812,10 +812,7 @@ def pressed(force_n: float, n_taxels: int) -> tuple[float, ...]:
 def test_loads_that_bend_make_a_table() -> None:
     loads = [[pressed(force_n, n) for force_n, n in ((2.0, 4), (5.0, 25), (8.0, 9))]] * 2
     tactile = TactileConfig.model_validate(
-        {
-            "layout": "flexitac_12x32",
-            "calibration": {"counts": (1,), "force_n": (0.01,)},
-        }
+        {"layout": "flexitac_12x32", "calibration": {"counts": (1,), "force_n": (0.01,)}}
     )
     judge_law(tactile, loads, finding := Notes(), 255)
     law = finding.settings["tactile.calibration"]

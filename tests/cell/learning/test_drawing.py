@@ -133,11 +133,7 @@ TABLE = {
 """A sensor that flattens later than equation (11), with a node beyond its full scale."""
 
 
-@pytest.mark.parametrize(
-    "tactile",
-    [LINEAR, TABLE, {}],
-    ids=["linear", "table", "paper"],
-)
+@pytest.mark.parametrize("tactile", [LINEAR, TABLE, {}], ids=["linear", "table", "paper"])
 def test_simulated_and_virtual_pads_read_as_the_config_says(tactile) -> None:
     config = CellConfig.model_validate({"tactile": tactile})
     layout = layout_from_config(config.tactile)

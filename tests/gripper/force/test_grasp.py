@@ -19,10 +19,7 @@ from tests.marks import LONG
 from tests.values import make_state
 
 LINEAR = ForceRamp.linear(8.0, 10.0, hold_s=0.3)
-RAMPS = {
-    "linear": LINEAR,
-    "staircase": ForceRamp.staircase((2.0, 4.0, 8.0), 10.0, 0.2),
-}
+RAMPS = {"linear": LINEAR, "staircase": ForceRamp.staircase((2.0, 4.0, 8.0), 10.0, 0.2)}
 
 
 @pytest.mark.parametrize("kind", RAMPS)

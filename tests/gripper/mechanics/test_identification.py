@@ -8,13 +8,7 @@ import pytest
 
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import MODELS
-from gripper.mechanics.identification import (
-    FreePoint,
-    LoadPoint,
-    change,
-    fit_friction,
-    fit_load,
-)
+from gripper.mechanics.identification import FreePoint, LoadPoint, change, fit_friction, fit_load
 
 SPEEDS_RAD_S = (0.15, 0.25, 0.4, 0.65)
 MODEL = MODELS["XM430-W350"]

@@ -237,10 +237,7 @@ def test_another_bit_rate_reaches_nobody() -> None:
     assert line.say(b"", 2.0) == b""
 
 
-ANSWERS = (
-    {b"V": b"V1013\r"},
-    {b"V": b"V1013\r", b"F": b"F00\r"},
-)
+ANSWERS = ({b"V": b"V1013\r"}, {b"V": b"V1013\r", b"F": b"F00\r"})
 """Commands to a closed and to an open adapter, and their answers."""
 REFUSED = (
     b"S9|S|S88|F|C|s0014",

@@ -18,8 +18,7 @@ def doctor(
     config: options.Config = None,
     json_file: options.Json = None,
     plugins: Annotated[
-        bool,
-        typer.Option("--plugins", help="Only list the installed plugins, and load each."),
+        bool, typer.Option("--plugins", help="Only list the installed plugins, and load each.")
     ] = False,
 ) -> None:
     """Check ports, servos and control unit; nothing moves.

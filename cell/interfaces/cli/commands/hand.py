@@ -79,8 +79,7 @@ def clear(
     reboot: Annotated[
         bool,
         typer.Option(
-            "--reboot",
-            help="Restart servos that report an error; a part that they hold may fall.",
+            "--reboot", help="Restart servos that report an error; a part that they hold may fall."
         ),
     ] = False,
 ) -> None:

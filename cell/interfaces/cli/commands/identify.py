@@ -73,10 +73,7 @@ def identify(
     )
     trials: list[Identification] = []
     with running_cell(
-        *(checked, "identify", out_folder),
-        config_file=config,
-        json_file=json_file,
-        model=model,
+        *(checked, "identify", out_folder), config_file=config, json_file=json_file, model=model
     ) as cell:
         cell.plugin.watch_parts(lambda _, named: trials.append(named) if named else None)
         part = cell.run(goal)

@@ -33,9 +33,7 @@ def list_recordings(
     print_table(table)
 
 
-def mark(
-    recordings: Annotated[list[Path], typer.Argument(help="Recordings (.mcap).")],
-) -> None:
+def mark(recordings: Annotated[list[Path], typer.Argument(help="Recordings (.mcap).")]) -> None:
     """Mark recordings, so that they are never deleted."""
     for path in recordings:
         print_line(f"{path}: marked by {mark_one(path).name} beside it")

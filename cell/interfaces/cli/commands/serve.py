@@ -93,8 +93,7 @@ TrainingSetOption = Annotated[
 SaveOption = Annotated[
     Path | None,
     typer.Option(
-        "--save",
-        help="Model file to write after each teaching: a new one, or that of --model.",
+        "--save", help="Model file to write after each teaching: a new one, or that of --model."
     ),
 ]
 
@@ -113,8 +112,7 @@ def serve(
     training_set: TrainingSetOption = None,
     save: SaveOption = None,
     listen: Annotated[
-        str | None,
-        typer.Option("--listen", help="Address to listen at [default: serve.listen]."),
+        str | None, typer.Option("--listen", help="Address to listen at [default: serve.listen].")
     ] = None,
     allow: Annotated[
         list[str] | None,

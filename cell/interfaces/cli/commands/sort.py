@@ -20,8 +20,7 @@ from cell.runtime.tasks import Places, simulated_feed
 def sort(
     config: options.Config = None,
     parts: Annotated[
-        int,
-        typer.Option("--parts", min=1, max=1_000_000, metavar="N", help="Number of parts."),
+        int, typer.Option("--parts", min=1, max=1_000_000, metavar="N", help="Number of parts.")
     ] = 20,
     teach_grasps: Annotated[
         int | None,

@@ -65,11 +65,7 @@ class Grip:
     """The law on a finger, one period after the other."""
 
     def __init__(
-        self,
-        force_n: float,
-        *,
-        stiction: float = 1.6,
-        paths: Sequence[Transmission] = PATHS,
+        self, force_n: float, *, stiction: float = 1.6, paths: Sequence[Transmission] = PATHS
     ) -> None:
         self.grip, self.paths = make_grip(force_n), paths
         self.law = ForceLaw(self.grip, 0.0)
