@@ -7,6 +7,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -16,7 +17,7 @@ from cell.config.file import changed_config, config_text, parse_config
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState
-from cell.control.zeroing import SelfZeros, part_between, stored_zeros, zero_file
+from cell.control.zeroing import SelfZeros, part_between, stored_zeros, unsound, zero_file
 from cell.errors import CellError, PartInGrip, PlanRefused, ZeroRefused
 from cell.files import SELF_ZERO, write_json
 from cell.interfaces.cli.session import cell_config
@@ -406,3 +407,9 @@ def test_cells_have_files_of_their_own_whatever_their_names_have_in_common() -> 
         assert all(file.parent == Path("out") for file in files)
         assert max(len(file.name.encode()) for file in files) < 100
     assert zero_file(Path("out"), "cell-1").name == "self-zero-cell-1.json"
+
+
+@pytest.mark.parametrize(("ratio", "weak"), [(0.5, 0), (2.0, 1)])
+def test_the_pad_that_measures_less_is_the_worn_one(ratio, weak) -> None:
+    zero = SimpleNamespace(log_gain_ratio=math.log(ratio))
+    assert f"the pad of finger {weak} is worn" in unsound(Mock(tilt_rad=(0.0, 0.0), zero=zero))

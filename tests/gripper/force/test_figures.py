@@ -57,7 +57,3 @@ def test_each_figure_names_its_source_and_neither_figures_nor_lines_grow() -> No
 def test_a_figure_without_a_source_is_found() -> None:
     text = '_A, B_S = 1.0, 2\n"""Time in s."""\nC_N = 2.0 * B_S\nD = 3\nE = "text"\n'
     assert list(figures(text)) == [("(_A, B_S)", "Time in s."), ("D", "")]
-
-
-def test_comments_and_docstrings_are_no_lines() -> None:
-    assert code_lines('"""Doc.\n\nMore."""\n\n# note\nA = 1  # unit\n"""Its doc."""\n') == 1
