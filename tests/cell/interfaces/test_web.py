@@ -496,6 +496,9 @@ def test_tls_by_certificate_files(connect, tls, tmp_path) -> None:
     link.request("GET", "/api/info", headers={"Authorization": f"Bearer {host.token}"})
     assert link.getresponse().status == 200
     link.close()
+    link.request("PUT", "/api/info", headers={"Authorization": f"Bearer {host.token}"})
+    assert link.getresponse().getheader("allow") == "GET"
+    link.close()
 
     async def watch() -> None:
         url = f"wss://127.0.0.1:{host.port}/api/live?token=a-token-of-the-operator"

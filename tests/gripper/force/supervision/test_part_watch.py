@@ -371,11 +371,7 @@ def test_a_load_measured_before_the_stop_is_waited_for() -> None:
     [
         ((0.0,) * 19, 0.5, r"samples show 0\.00 and 0\.00 N, the frames 0\.50 and 0\.50 N, more"),
         ((0.5,) * 19, 0.0, r"samples show 0\.50 and 0\.50 N, the frames 0\.00 and 0\.00 N, more"),
-        (
-            (0.5,) * 19,
-            None,
-            r"samples show 0\.50 and 0\.50 N, more than 0\.30 N on both .*Look",
-        ),
+        ((0.5,) * 19, None, r"samples show 0\.50 and 0\.50 N, more than 0\.30 N on both .*Look"),
     ],
 )
 def test_a_load_on_both_pads_contradicts_an_empty_grip(samples_n, frame_n, says) -> None:
