@@ -1,12 +1,13 @@
 """Ingestion: recordings and data sets are added to an archive, each file once."""
 
 import hashlib
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 from zipfile import BadZipFile, ZipFile
 
 from cell.archive.selection import of_cell
@@ -59,13 +60,20 @@ def sources(places: Sequence[Path]) -> list[Path]:
     """Return the recordings and data sets of some folders and files.
 
     The models in a folder, which runs write beside their recordings, are left out. Raises
-    ArchiveError where one does not exist, or no file is found.
+    ArchiveError where one does not exist or cannot be read, or no file is found.
     """
     files: list[Path] = []
+
+    def refuse(error: OSError) -> NoReturn:
+        raise ArchiveError(
+            f"{error.filename} cannot be read: {error.strerror}; permit it, or name other folders"
+        ) from error
+
     for place in places:
         if place.is_dir():
-            paths = sorted(path for kind in _KINDS for path in place.rglob(f"*{kind}"))
-            files += [path for path in paths if not _is_model(path)]
+            walked = os.walk(place, onerror=refuse, followlinks=True)
+            paths = sorted(Path(folder, name) for folder, _, names in walked for name in names)
+            files += [path for path in paths if path.suffix in _KINDS and not _is_model(path)]
         elif place.exists():
             files.append(place)
         else:

@@ -25,7 +25,7 @@ from cell.config.model import CellConfig
 from cell.control.part import Part
 from cell.control.plan import Pose
 from cell.control.states import CellState, CellStatus, Command, is_allowed
-from cell.errors import CellError, ConfigError, PartInGrip, RequestRefused
+from cell.errors import CellError, CellStateError, ConfigError, PartInGrip, RequestRefused
 from cell.fault_catalogue import error_text
 from cell.runtime.goals import (
     TASKS,
@@ -683,6 +683,8 @@ class TactileCellPlugin:
     def _simulated(self) -> "SimulationRequests":
         if self._simulation is None:
             raise RequestRefused("this cell has real ports: it is not simulated")
+        if self._closed:
+            raise CellStateError("the cell is closed; load the plugin again")
         return self._simulation
 
     def save(self, path: Path | str, *, followed: bool = False) -> None:

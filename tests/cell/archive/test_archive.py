@@ -72,7 +72,8 @@ def test_work_that_is_done_twice_and_a_second_run_add_nothing(fleet, archived, t
     target = str(tmp_path / "archive")
     done = add(target, sources([fleet]), mapper=twice)
     assert (done.n_files, done.n_grasps, done.n_before) == (6, 36, 0)
-    done = add(target, sources([fleet]))
+    (tmp_path / "linked").symlink_to(fleet)
+    done = add(target, sources([tmp_path]))
     assert (done.n_files, done.n_there, done.n_grasps, done.left) == (0, 6, 0, {})
     assert every(target) == every(archived)
     assert len(every(target)) == 36

@@ -463,6 +463,8 @@ def test_what_was_forgotten_is_removed_once_it_can_be(make_plugin, taught, tmp_p
     plugin.close()
     assert not path.exists()
     assert not grasps.exists()
+    with pytest.raises(CellStateError, match="is closed"):
+        plugin.simulate({"state": True})
 
 
 # -- goals and models --------------------------------------------------------------------------
