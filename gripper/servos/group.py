@@ -198,9 +198,10 @@ class Servos:
         """Switch the torque on where it is off, arm or restart the watchdog, before a command.
 
         Goals are set to the present positions before the torque goes on and after a watchdog trip,
-        so that nothing jumps. Raises ServoFault when the watchdog tripped while a part was held.
-        Raises VerificationFailed when a servo to be released does not match the settings. Raises
-        FeedbackImplausible when a servo under torque reports a position far from its goal.
+        so that nothing jumps. Raises ServoFault when the watchdog tripped, or a torque went off,
+        while a part was held. Raises VerificationFailed when a servo to be released does not match
+        the settings. Raises FeedbackImplausible when a servo under torque reports a position far
+        from its goal.
 
         Parameters
         ----------
@@ -217,6 +218,9 @@ class Servos:
         if releasing and not in_force:
             self.make_releasable()
         off = limp is not None or not all(self.torques())
+        if off and part_possible and in_force and not releasing:
+            # Torque that came on again would hide that the part may have been dropped.
+            self.check_torques()
         if off or not in_force or self._finds_trip():
             if part_possible and not (off or releasing):
                 raise ServoFault(

@@ -93,6 +93,14 @@ def test_the_other_finger_stands_still_when_a_servo_drops_its_torque(cell) -> No
     assert abs(cell.mechanics.finger_position_m[0] - living_m) < 0.0008
 
 
+def test_a_torque_that_is_lost_between_two_commands_is_a_fault_of_the_next_one(cell) -> None:
+    cell.hold_part(RAMP)
+    cell.servos[1].write(64, b"\0", cell.clock.monotonic())
+    with pytest.raises(ServoFault, match="torque is off although") as fault:
+        cell.gripper.hold(2.0)
+    assert (fault.value.torque_lost, cell.torques) == (True, [1, 0])
+
+
 # Fingers on their way stop where they are.
 
 
