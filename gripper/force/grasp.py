@@ -301,6 +301,7 @@ class GripStep:
         """Return the action of one period at the present time on the ramp."""
         setpoint_n, level = self._time.setpoint_n, self._time.level
         goals = control.goals(moment, setpoint_n, arrival_n=self._time.arrival_n)
+        setpoint_n = control.grip.setpoint_n
         self._peak_n = max(self._peak_n, control.force_n)
         if self.lost:
             goals = standing(goals, moment.state)

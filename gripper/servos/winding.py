@@ -24,7 +24,7 @@ _WINDING_S = 30.0
 """Time constant in s of the winding: 30 to 60 s, until it is measured. [assumed]"""
 _PEAK_S = 2.0
 """Time in s for which `ServoModel.peak_a` is allowed at any time."""
-_LOWERING_S = 0.5
+LOWERING_S = 0.5
 """Time constant in s with which a hot winding's current falls, so that no part is thrown. [chosen]
 """
 
@@ -95,7 +95,7 @@ class WindingHeat:
             self._square_a2 += -(last_a**2 - self._square_a2) * (exp(-dt_s / _WINDING_S) - 1.0)
             if self.hot:
                 above_a = self.limit_a - self._model.holding_a
-                self.limit_a -= above_a * (1.0 - exp(-dt_s / _LOWERING_S))
+                self.limit_a -= above_a * (1.0 - exp(-dt_s / LOWERING_S))
         self._last = now_s, current_a
         if self._square_a2 >= self._most_a2 and not self.hot:
             self.hot, self.limit_a = True, max(abs(current_a), self._model.holding_a)

@@ -16,6 +16,7 @@ from gripper.servos.goal_limits import (
     most_closed_rad,
     running_lead_rad,
 )
+from gripper.servos.winding import LOWERING_S
 from gripper.values.force_sensor import LOOK_BACK_S
 from gripper.values.state import ServoFeedback
 
@@ -197,7 +198,8 @@ class GripControl:
         moment
             Feedback and a valid force sample.
         setpoint_n
-            Set-point of the grip force in N.
+            Set-point of the grip force in N. It falls with the current that a hot winding bears:
+            the part would else push the fingers open at once when friction gives way.
         arrival_n
             End of the present change of force in N; None without a change.
 
@@ -211,6 +213,14 @@ class GripControl:
         grip, state, sample = self.grip, moment.state, moment.sample
         if sample is not None and (not sample.valid or self.watch.suspicious):
             sample = None
+        paths = grip.mechanics.transmissions(state.angles_rad)
+        pairs = zip(state.servos, paths, strict=True)
+        borne_n = max(
+            min([servo.limit_a * path.n_per_a for servo, path in pairs]),
+            grip.setpoint_n * (1.0 - moment.dt_s / LOWERING_S),
+        )
+        end_n = min(setpoint_n if arrival_n is None else arrival_n, borne_n)
+        setpoint_n = min(setpoint_n, borne_n)
         rises_n = setpoint_n - grip.setpoint_n
         grip.setpoint_n = setpoint_n
         grip.apertures.add(moment.now_s, state.aperture_m)
@@ -225,12 +235,11 @@ class GripControl:
                 return self.quiet_goals(moment)
             self._stalled_s, grip.force_n = None, sample.grip_n
             self._law.begin(moment.now_s)
-        paths = self.grip.mechanics.transmissions(state.angles_rad)
         period = Period(
             moment=moment,
             sample=sample,
             setpoint_n=setpoint_n,
-            end_n=setpoint_n if arrival_n is None else arrival_n,
+            end_n=end_n,
             paths=paths,
             friction_n=mean_friction_n(paths),
             may_open=self._goals.may_open,

@@ -188,12 +188,15 @@ class LevelSlip:
     def __init__(self, settings: GripperSettings) -> None:
         self._settings = settings
         self._level: int | None = None
+        self._setpoint_n = 0.0
         self._watch = SlipWatch(settings)
 
     def check(self, moment: Moment, level: int | None, *, setpoint_n: float) -> None:
         """Add one period at a level, or between levels; raises PartSlipped when the part slips."""
-        if level != self._level:
-            self._level, self._watch = level, SlipWatch(self._settings)
+        moves_n = abs(setpoint_n - self._setpoint_n)
+        if level != self._level or moves_n > self._settings.settle_tolerance_at_n(setpoint_n):
+            self._level, self._setpoint_n = level, setpoint_n
+            self._watch = SlipWatch(self._settings)
         if level is None:
             return
         sign = self._watch.check(

@@ -20,6 +20,7 @@ from gripper.servos.group import for_hours
 from gripper.servos.winding import Supply, WindingHeat, longest_s, winding_a
 from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspResult
+from gripper.values.state import Cycle
 
 
 @pytest.mark.parametrize(
@@ -174,7 +175,7 @@ def test_a_grip_beyond_the_holding_current_gets_a_note_with_its_time() -> None:
 
 def test_a_hot_winding_lowers_the_current_and_the_part_stays(make_started) -> None:
     cell = make_started(current_max_a=0.8, force_max_n=30.0)
-    outcome = cell.gripper.grasp(ForceRamp.linear(12.0, rate_n_s=10.0))
+    outcome = cell.gripper.grasp(ForceRamp.linear(14.0, rate_n_s=10.0))
     assert outcome.result is GraspResult.FORCE_REACHED
     heats = cell.gripper._servos.feedback._heats
     for heat in heats.values():
@@ -182,9 +183,10 @@ def test_a_hot_winding_lowers_the_current_and_the_part_stays(make_started) -> No
         heat.add(cell.clock.monotonic() + 120.0, 0.0)
         heat.add(cell.clock.monotonic(), 0.0)
     assert all(heat.hot for heat in heats.values())
-    goals_a: list[float] = []
-    cell.gripper.hold(2.0, lambda cycle: goals_a.append(cycle.goal_current_a))
-    assert 0.3 < goals_a[-1] < 0.41
+    cycles: list[Cycle] = []
+    cell.gripper.hold(2.0, cycles.append)
+    assert 0.3 < cycles[-1].goal_current_a < 0.41
+    assert 11.0 < cycles[-1].setpoint_n < 13.0
     assert cell.force_n > 8.0
     assert cell.gripper.statistics.derated > 0
 
