@@ -16,7 +16,8 @@ from recognition.grasp import Grasp, PadArray
 def name_recorded(source: Path, label: str, dataset: Path, series: str = "") -> tuple[int, int]:
     """Add the grasps of a recording or data set that have no label to a data set, under a label.
 
-    Raises CellError if a file cannot be read or written, or every grasp of the source has a label.
+    Grasps that the data set has are left out. Raises CellError if a file cannot be read or written,
+    or no grasp is left.
 
     Returns
     -------
@@ -28,8 +29,12 @@ def name_recorded(source: Path, label: str, dataset: Path, series: str = "") -> 
         raise CellError(
             f"{source}: each of its grasps has a label; use it with `model train` directly"
         )
-    named = [replace(grasp, label=label) for grasp in grasps]
-    return len(grasps), append_to_dataset(dataset, named, series)
+    there = dataset_to_extend(dataset, grasps[0].pads)
+    repeated = set(map(id, duplicate_grasps([*there, *grasps])))
+    named = [replace(grasp, label=label) for grasp in grasps if id(grasp) not in repeated]
+    if not named:
+        raise CellError(f"{source}: {dataset} has each of its grasps without a label already")
+    return len(named), append_to_dataset(dataset, named, series)
 
 
 def read_labelled_grasps(path: Path, note: Callable[[str], None]) -> tuple[Grasp, ...]:

@@ -3,8 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import groupby, pairwise
-from operator import itemgetter
+from itertools import islice, pairwise
 from types import MappingProxyType
 from typing import Any, Protocol, TypeVar
 
@@ -14,7 +13,7 @@ from scipy.special import ndtri
 
 from recognition.drift.drift import DriftFollowing
 from recognition.evaluation.splits import TrainTest
-from recognition.grasp import Grasp, by_label
+from recognition.grasp import Grasp, by_label, series_of
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer, Trainer
 from recognition.statistics import fusion
 
@@ -41,7 +40,7 @@ def confusion_matrix(
     return table
 
 
-def wilson_interval(successes: int, n: int) -> tuple[float, float]:
+def wilson_interval(successes: float, n: int) -> tuple[float, float]:
     """Return the Wilson score interval of a proportion at 95 %; (0, 1) where n is 0.
 
     Raises ValueError where successes are not from 0 to n.
@@ -103,17 +102,22 @@ def percentile_interval(draws: ArrayLike) -> tuple[float, float]:
     return float(low), float(high)
 
 
+_BOOTSTRAP_OBJECTS = 12
+"""Fewest objects for a bootstrap: with 3 to 8, 77 to 90 % of simulated shares are in the interval
+that should hold 95 %."""
+
+
 def interval_by_object(right: Sequence[bool], objects: Sequence[str]) -> tuple[float, float]:
     """Return the 95 % interval of a share by a bootstrap of objects (cluster bootstrap).
 
-    Where all grasps are right, or all wrong, it is Wilson's with one trial for each object. (0, 1)
-    without grasps, or for different results of one object.
+    With few objects, or where all grasps are right or all wrong, it is Wilson's with one trial for
+    each object. (0, 1) without grasps, or for different results of one object.
     """
     if not right or len(set(right)) > len(set(objects)):
         return 0.0, 1.0
     weights = object_weights(objects)
-    if len(set(right)) < 2:
-        return wilson_interval(len(weights) * int(all(right)), len(weights))
+    if len(weights) < _BOOTSTRAP_OBJECTS or len(set(right)) < 2:
+        return wilson_interval(sum(right) / len(right) * len(weights), len(weights))
     each = np.array([weights[name] for name in objects])
     return percentile_interval(np.asarray(right, dtype=np.float64) @ each / each.sum(axis=0))
 
@@ -248,12 +252,15 @@ def evaluate(
     for train, test in parts:
         recognizer = trainer.fit(train)
         labels.update(recognizer.labels)
-        ordered = [g for members in by_label(test).values() for g in members]
-        here = [g for g in ordered if g.label in recognizer.labels]
+        ordered = [series_of(members) for members in by_label(test).values()]
+        series = [one for every in ordered for one in every if one[0].label in recognizer.labels]
+        here = [g for members in series for g in members]
         untaught = [g for g in test if g.label not in recognizer.labels]
         answered = _answers(recognizer, here, mapper)
         known += answered
-        runs += [list(run) for _, run in groupby(answered, itemgetter(1))]
+        # A sequence grasps one part: no individual stands in for another.
+        numbered = iter(answered)
+        runs += [list(islice(numbered, len(members))) for members in series]
         scored += _leave_out(train, here, trainer, unknown_groups, mapper)
         if untaught and here:
             n_untaught += len(untaught)

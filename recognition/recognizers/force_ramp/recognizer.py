@@ -171,7 +171,8 @@ class ForceRampRecognizer(TaughtRecord):
         touched = [e for e in every if e is not None]
         if not touched:
             raise ValueError("no gauge grasp touched both pads: grasp the gauge object again")
-        view = touched[0].view
+        # The view with the opening, if a grasp has it.
+        view = next((e.view for e in touched if e.view is self.both), touched[0].view)
         each = [e.log_likelihood[..., e.classes == number] for e in touched if e.view is view]
         total = np.sum(each, axis=0)[..., 0]
         return self.with_grid(self.grid_at(grasps[0]).with_gauge(total, view.placing_mm))

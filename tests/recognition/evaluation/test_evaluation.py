@@ -102,14 +102,15 @@ def test_auroc_counts_pairs_in_order():
 
 
 def test_an_interval_by_objects_is_wider_where_grasps_of_an_object_agree():
-    objects = [name for name in "abcdefghij" for _ in range(20)]
+    objects = [name for name in "abcdefghijklmnop" for _ in range(20)]
     alike = [name != "a" for name in objects]
-    apart = [n % 10 != 0 for n in range(200)]
+    apart = [n % 16 != 0 for n in range(320)]
     wide, narrow = (interval_by_object(right, objects) for right in (alike, apart))
     assert wide[1] - wide[0] > 3.0 * (narrow[1] - narrow[0])
     assert wide[0] < 0.9 < wide[1]
-    assert interval_by_object([True] * 200, objects) == wilson_interval(10, 10)
-    assert interval_by_object([False] * 200, objects) == wilson_interval(0, 10)
+    assert interval_by_object([True] * 320, objects) == wilson_interval(16, 16)
+    assert interval_by_object([False] * 320, objects) == wilson_interval(0, 16)
+    assert interval_by_object(alike[:60], objects[:60]) == wilson_interval(2, 3)
     assert interval_by_object([], []) == (0.0, 1.0)
     assert interval_by_object([True, False], ["ball", "ball"]) == (0.0, 1.0)
 

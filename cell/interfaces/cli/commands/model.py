@@ -288,7 +288,7 @@ def _lines(result: EvaluationResult) -> Iterator[str | Table]:
     yield table
     yield (
         "AUROC: separation of taught objects from objects left out of teaching; 1 is perfect, 0.5 "
-        "is chance. Names and AUROC are of one grasp. Intervals at 95 % draw objects, not grasps, "
+        "is chance. Names and AUROC are of one grasp. Intervals at 95 % count objects, not grasps, "
         "and no fused grasp counts twice"
     )
     if any(math.isnan(f.full.unknown_auroc) for f in result.recognizers.values()):
