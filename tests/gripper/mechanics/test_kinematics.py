@@ -11,18 +11,11 @@ from gripper.mechanics.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.mechanics.transmission import Transmission
 
 LINK = ParallelLinkage(link_m=0.06)
+OFFSET_M, SERVOS = st.floats(-0.005, 0.005), st.sampled_from([1, 2])
 LINKAGES = st.one_of(
+    st.builds(ParallelLinkage, link_m=st.floats(0.04, 0.1), offset_m=OFFSET_M, n_servos=SERVOS),
     st.builds(
-        ParallelLinkage,
-        link_m=st.floats(0.04, 0.1),
-        offset_m=st.floats(-0.01, 0.01),
-        n_servos=st.sampled_from([1, 2]),
-    ),
-    st.builds(
-        RackPinion,
-        pinion_radius_m=st.floats(0.008, 0.03),
-        offset_m=st.floats(-0.005, 0.005),
-        n_servos=st.sampled_from([1, 2]),
+        RackPinion, pinion_radius_m=st.floats(0.008, 0.03), offset_m=OFFSET_M, n_servos=SERVOS
     ),
 )
 

@@ -22,27 +22,12 @@ from simulator.can.scanner import read_zero
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.pads import PadPair
+from tactile import errors
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import Mounting, TactileLink
 from tactile.control_unit.search import listen
 from tactile.control_unit.settings import LinkSettings, bus_load, least_sync_period_s, message_bits
 from tactile.control_unit.watch import FrameFlow, NodeWatch, emergency_text
-from tactile.errors import (
-    BusDisturbed,
-    BusErrorPassive,
-    BusOff,
-    DuplicateNode,
-    FrameTimeout,
-    IdentityMismatch,
-    LayoutError,
-    LinkFault,
-    LinkStateError,
-    NodeEmergency,
-    NodeMissing,
-    NodeRebooted,
-    NodeStateChanged,
-    ObjectRefused,
-)
 from tactile.frames import FrameFormat, encode_zero, force_table
 from tactile.layout import PadMount, paper_layout, pinch_layout, taxel_order
 from tactile.sensor.calibration import FoamCalibration
@@ -108,7 +93,7 @@ def test_a_node_that_never_appears_is_missing_and_the_message_says_who_is_there(
     idle.unit.faults.dead = True
     idle.clock.on_advance.append(lambda now_s: idle.put(0x706, b"\x7f"))
     start_s = idle.clock.monotonic()
-    with pytest.raises(NodeMissing, match=r"within 3 s; node-IDs heard: 6"):
+    with pytest.raises(errors.NodeMissing, match=r"within 3 s; node-IDs heard: 6"):
         idle.link.start()
     assert idle.clock.monotonic() - start_s == pytest.approx(3.0, abs=0.01)
     idle.unit.faults.dead = False
@@ -134,7 +119,7 @@ def test_a_node_that_never_appears_is_missing_and_the_message_says_who_is_there(
 )
 def test_a_unit_that_does_not_come_up_alone_is_a_missing_node(idle, spoil, says) -> None:
     spoil(idle)
-    with pytest.raises(NodeMissing, match=says):
+    with pytest.raises(errors.NodeMissing, match=says):
         idle.link.start()
 
 
@@ -150,7 +135,7 @@ def test_an_object_without_its_end_is_given_up(idle, monkeypatch, size, segments
     heads = [struct.pack("<BHBL", 0x41, 0x1018, 1, size), *map(bytes.fromhex, segments)]
     answers = itertools.cycle(head.ljust(8, b"\0") for head in heads)
     idle.alter(0x580 + NODE, lambda _burst: [next(answers)])
-    with pytest.raises(NodeMissing, match=says):
+    with pytest.raises(errors.NodeMissing, match=says):
         idle.link.start()
 
 
@@ -160,7 +145,7 @@ def test_a_boot_up_without_data_is_used(idle) -> None:
     idle.run(0.2)
     assert idle.link.statistics.malformed == 0
     idle.unit.power_cycle()
-    with pytest.raises(NodeRebooted, match="sent a boot-up message"):
+    with pytest.raises(errors.NodeRebooted, match="sent a boot-up message"):
         idle.run(0.2)
 
 
@@ -216,7 +201,7 @@ def test_a_unit_that_differs_a_little_is_started(idle, change) -> None:
 def test_another_unit_is_refused_with_expected_and_found(make_bench, entry, value, says) -> None:
     bench = make_bench(unit=ControlUnitSettings(serial_number=4711), serial=4711)
     bench.unit.pretend(entry, value)
-    with pytest.raises(IdentityMismatch, match=says):
+    with pytest.raises(errors.IdentityMismatch, match=says):
         bench.link.start()
     assert (bench.unit.nmt_state, bench.link.statistics.requests) == ("PRE-OPERATIONAL", 0)
 
@@ -229,9 +214,9 @@ def test_a_unit_that_forbids_requests_of_its_frames_is_the_same(make_bench) -> N
 
 def test_exchanged_pads_are_refused_by_the_serial_numbers_of_their_boards(make_bench) -> None:
     assert make_bench(boards=(1, 2)).link.start().boards == (1, 2)
-    with pytest.raises(IdentityMismatch, match="pads of the two fingers are exchanged"):
+    with pytest.raises(errors.IdentityMismatch, match="pads of the two fingers are exchanged"):
         make_bench(boards=(2, 1)).link.start()
-    with pytest.raises(IdentityMismatch, match=r"board of finger 1: expected 3 .* found 2"):
+    with pytest.raises(errors.IdentityMismatch, match=r"board of finger 1: expected 3 .* found 2"):
         make_bench(boards=(1, 3)).link.start()
 
 
@@ -246,7 +231,9 @@ def test_exchanged_pads_are_refused_by_the_serial_numbers_of_their_boards(make_b
 def test_an_object_that_the_unit_refuses_is_named_with_the_abort_in_words(idle, code, says) -> None:
     abort = struct.pack("<BHBL", 0x80, 0x1018, 1, code)
     idle.alter(0x580 + NODE, lambda _burst: [abort])
-    with pytest.raises(ObjectRefused, match=rf"0x1018:01 .*refused \(Code 0x{code:08X}, {says}"):
+    with pytest.raises(
+        errors.ObjectRefused, match=rf"0x1018:01 .*refused \(Code 0x{code:08X}, {says}"
+    ):
         idle.link.start()
 
 
@@ -256,7 +243,7 @@ def test_lost_sdo_responses_are_asked_for_again_and_hide_no_second_unit(idle) ->
     idle.link.stop()
     copy(idle, 0x580 + NODE, 0, times=2)
     copy(idle, 0x580 + NODE, 2, times=7)
-    with pytest.raises(DuplicateNode, match="3 SDO answers more"):
+    with pytest.raises(errors.DuplicateNode, match="3 SDO answers more"):
         idle.link.start()
 
 
@@ -272,10 +259,10 @@ def test_a_search_finds_the_nodes_of_plain_messages_alone(idle, kind, nodes) -> 
 @pytest.mark.parametrize(
     ("cob_id", "data", "fault", "text"),
     [
-        (0x700, b"\4", NodeStateChanged, "stopped"),
-        (0x80, b"\x20\x81\x11\0\0\0\0\0", NodeEmergency, r"0x8120 \([^;]*\), .* 0x11"),
-        (0x80, b"\x20\x81\x11", NodeEmergency, r"0x8120 \(.*; only 3 of 8 .*register 0x11"),
-        (0x80, b"\x20\x81", NodeEmergency, r"0x8120 \(.*; only 2 of 8 .*register 0x00"),
+        (0x700, b"\4", errors.NodeStateChanged, "stopped"),
+        (0x80, b"\x20\x81\x11\0\0\0\0\0", errors.NodeEmergency, r"0x8120 \([^;]*\), .* 0x11"),
+        (0x80, b"\x20\x81\x11", errors.NodeEmergency, r"0x8120 \(.*; only 3 of 8 .*register 0x11"),
+        (0x80, b"\x20\x81", errors.NodeEmergency, r"0x8120 \(.*; only 2 of 8 .*register 0x00"),
     ],
 )
 def test_a_stopped_unit_or_its_emergency_is_a_fault(bench, cob_id, data, fault, text) -> None:
@@ -289,11 +276,11 @@ def test_a_stopped_unit_or_its_emergency_is_a_fault(bench, cob_id, data, fault, 
 def test_a_failing_interface_is_bus_off(bench, monkeypatch, error, call) -> None:
     owner = bench.bus if call == "send" else bench.link._source
     monkeypatch.setattr(owner, call, Mock(side_effect=error))
-    with pytest.raises(BusOff, match=r"gone.*plugged in"):
+    with pytest.raises(errors.BusOff, match=r"gone.*plugged in"):
         bench.run(0.1)
-    bench.link.fault = NodeEmergency("older")
+    bench.link.fault = errors.NodeEmergency("older")
     bench.link.stop()
-    assert (call == "send") is isinstance(bench.link.fault, BusOff)
+    assert (call == "send") is isinstance(bench.link.fault, errors.BusOff)
 
 
 def test_foreign_and_damaged_messages_are_counted_and_an_error_reset_is_neither(bench) -> None:
@@ -321,7 +308,9 @@ def test_messages_of_another_kind_are_limited_as_foreign_ones(make_bench, kind) 
     bench.run(0.1)
     for _ in range(51):
         bench.put(0x700 + NODE, b"", **kind)
-    with pytest.raises(BusDisturbed, match=r"51 messages of other nodes.* raise tactile\.foreign"):
+    with pytest.raises(
+        errors.BusDisturbed, match=r"51 messages of other nodes.* raise tactile\.foreign"
+    ):
         bench.run(0.1)
 
 
@@ -329,7 +318,7 @@ def test_too_many_damaged_lines_of_a_serial_adapter_are_a_fault(bench, monkeypat
     bench.run(0.1)
     lines = itertools.count()
     monkeypatch.setattr("tactile.control_unit.node.bad_lines", lambda _bus: next(lines))
-    with pytest.raises(BusDisturbed, match=r"1\d damaged messages"):
+    with pytest.raises(errors.BusDisturbed, match=r"1\d damaged messages"):
         bench.run(1.0)
 
 
@@ -351,7 +340,7 @@ def test_a_sync_that_the_unit_did_not_hear_is_forgotten_in_time(bench) -> None:
     bench.unit.receive = miss_one
     bench.run(0.2)
     bench.unit.receive = miss_one
-    with pytest.raises(FrameTimeout, match="SYNCs do not reach the unit"):
+    with pytest.raises(errors.FrameTimeout, match="SYNCs do not reach the unit"):
         bench.run(0.2)
 
 
@@ -389,7 +378,9 @@ def test_lost_frames_are_a_fault_with_the_one_that_is_too_many(every: int) -> No
             else:
                 flow.on_frame(lost)
 
-    too_many = pytest.raises(FrameTimeout, match=r"3 of the last 50 frames .* allowed are 5%")
+    too_many = pytest.raises(
+        errors.FrameTimeout, match=r"3 of the last 50 frames .* allowed are 5%"
+    )
     with too_many if every < 25 else nullcontext():
         lose()
     assert every > 25 or lost == 3
@@ -400,15 +391,15 @@ def test_lost_frames_are_a_fault_with_the_one_that_is_too_many(every: int) -> No
 
 def test_a_fault_latches_until_closed_and_started_again(bench) -> None:
     bench.unit.power_cycle()
-    with pytest.raises(NodeRebooted):
+    with pytest.raises(errors.NodeRebooted):
         bench.run(0.1)
     bench.unit.command("OPERATIONAL", bench.clock.monotonic())
     syncs = bench.link.statistics.requests
     for _ in range(3):
         bench.clock.sleep(0.02)
-        with pytest.raises(NodeRebooted):
+        with pytest.raises(errors.NodeRebooted):
             bench.link.poll()
-    assert isinstance(bench.link.fault, NodeRebooted)
+    assert isinstance(bench.link.fault, errors.NodeRebooted)
     assert bench.link.statistics.requests == syncs
     bench.link.stop()
     bench.link.start()
@@ -417,11 +408,11 @@ def test_a_fault_latches_until_closed_and_started_again(bench) -> None:
 
 
 def test_a_second_start_is_refused_and_a_stop_leaves_the_unit_pre_operational(bench) -> None:
-    with pytest.raises(LinkStateError, match="stop it"):
+    with pytest.raises(errors.LinkStateError, match="stop it"):
         bench.link.start()
     bench.link.stop()
     assert bench.unit.nmt_state == "PRE-OPERATIONAL"
-    with pytest.raises(LinkStateError, match="start it first"):
+    with pytest.raises(errors.LinkStateError, match="start it first"):
         bench.link.poll()
 
 
@@ -525,7 +516,7 @@ def test_restart_of_the_controller_ends_error_passive() -> None:
     watch.on_error_frame(0x04, bytes([0, 0x10]), 3.0)
     watch.on_error_frame(0x04, bytes([0, 0x10]), 3.4)
     watch.on_error_frame(0x04, b"", 3.4)
-    with pytest.raises(BusErrorPassive, match=r"0\.50 s"):
+    with pytest.raises(errors.BusErrorPassive, match=r"0\.50 s"):
         watch.check(3.5, 0)
     assert counts.error_frames == 5
 
@@ -571,7 +562,7 @@ def test_the_force_comes_by_table_and_zero_each_three_milliseconds(sending) -> N
 def test_messages_that_a_gateway_delays_are_refused_before_the_set_up(make_forces) -> None:
     bench = make_forces()
     bench.bus.faults.delay_s = 0.03
-    with pytest.raises(FrameTimeout, match=r"answers after 31 ms, allowed .* are 15 ms"):
+    with pytest.raises(errors.FrameTimeout, match=r"answers after 31 ms, allowed .* are 15 ms"):
         bench.link.start()
     assert bench.clock.monotonic() < 103.0
     bench.bus.faults.delay_s = 0.005
@@ -599,7 +590,7 @@ def test_a_unit_without_force_messages_runs_as_before(make_forces) -> None:
 def test_a_table_that_the_unit_does_not_keep_is_refused(make_forces) -> None:
     sending = make_forces()
     sending.unit.pretend(od.FORCE_TABLE, TABLE[:-2] + b"\0\0")
-    with pytest.raises(IdentityMismatch, match="Table of counts to force"):
+    with pytest.raises(errors.IdentityMismatch, match="Table of counts to force"):
         sending.link.start()
 
 
@@ -616,7 +607,7 @@ def test_a_longer_silence_is_allowed_where_that_is_set(make_forces, knob, silenc
     sending.forces(0.1)
     setattr(sending.unit.faults, knob, True)
     sending.forces(silence_s - 0.04)
-    with pytest.raises(FrameTimeout, match=r"no (force message|whole frame)"):
+    with pytest.raises(errors.FrameTimeout, match=r"no (force message|whole frame)"):
         sending.forces(0.08)
 
 
@@ -630,7 +621,9 @@ def test_too_many_old_force_messages_are_a_fault(sending) -> None:
 
     sending.forces(0.1)
     sending.alter(0x285, later)
-    with pytest.raises(BusDisturbed, match="force messages that are older than the one before"):
+    with pytest.raises(
+        errors.BusDisturbed, match="force messages that are older than the one before"
+    ):
         sending.forces(1.0)
 
 
@@ -675,7 +668,7 @@ def test_a_silent_unit_is_found_within_its_limit_and_the_stall(
     setattr(sending.unit.faults, knob, True)
     sending.forces(0.01)
     stall(sending, monkeypatch)
-    with pytest.raises(LinkFault, match=r"no (force message|heartbeat) from"):
+    with pytest.raises(errors.LinkFault, match=r"no (force message|heartbeat) from"):
         sending.forces(1.0)
     assert sending.clock.monotonic() - start_s < limit_s + 0.057 + 0.002
 
@@ -712,7 +705,7 @@ def test_the_order_of_the_taxels_is_that_of_the_mounts() -> None:
     ],
 )
 def test_mounts_that_cannot_be_are_refused(mounts, complaint) -> None:
-    with pytest.raises(LayoutError, match=complaint):
+    with pytest.raises(errors.LayoutError, match=complaint):
         taxel_order(paper_layout(), mounts)
 
 
