@@ -9,29 +9,10 @@ from typing import Any
 
 import pytest
 
+from gripper import errors
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import REGISTERS, TORQUE_ENABLE
 from gripper.dynamixel.models import XL330_M288, XM430_W350
-from gripper.errors import (
-    AnswersOff,
-    BusCorrupt,
-    BusTimeout,
-    FeedbackImplausible,
-    FingerBlocked,
-    FingerSilent,
-    ForceAboveCap,
-    ForceSensorStale,
-    GraspStopped,
-    GripContradicted,
-    GripperError,
-    LimitExceeded,
-    LinkTooSlow,
-    PositionContradicted,
-    ServoFault,
-    VerificationFailed,
-    copy_fingers,
-    fingers_left,
-)
 from gripper.force.ramp import ForceRamp
 from gripper.servos import feedback
 from gripper.values.state import GripperPhase
@@ -49,7 +30,7 @@ def test_a_current_that_cannot_be_ends_in_limp_fingers(cell, monkeypatch, lost) 
 
     def sometimes(servo_id: int, register, value: int) -> None:
         if register is TORQUE_ENABLE and next(losses, None) is not None:
-            raise BusTimeout("lost")
+            raise errors.BusTimeout("lost")
         write(servo_id, register, value)
 
     cell.gripper.bus.write = sometimes
@@ -58,7 +39,7 @@ def test_a_current_that_cannot_be_ends_in_limp_fingers(cell, monkeypatch, lost) 
         return 12.0 * present_a, 12.0 * present_a
 
     observe = cell.once(lambda: monkeypatch.setattr(feedback, "winding_a", absurd), in_s=0.3)
-    with pytest.raises(FeedbackImplausible, match=r"at most 1\.50 A are possible"):
+    with pytest.raises(errors.FeedbackImplausible, match=r"at most 1\.50 A are possible"):
         cell.gripper.hold(2.0, observe)
     assert cell.torques == [0, 0]
 
@@ -70,7 +51,7 @@ def test_force_that_one_pad_shows_alone_lowers_the_currents_by_a_share(make_cell
     written: list[int] = []
     measure, cell.device.faults.drop = cell.sensor.measure, lost
     cell.sensor.measure = lambda now_s, true_n: measure(now_s, (2.5 * true_n[0], true_n[1]))
-    with pytest.raises(ForceAboveCap, match="force_max_n is 6"):
+    with pytest.raises(errors.ForceAboveCap, match="force_max_n is 6"):
         cell.gripper.hold(1.0, lambda _: written.append(cell.register(0, "goal_current")))
     cell.clock.sleep(0.5)
     assert 0.4 * abs(written[-1]) < abs(cell.register(0, "goal_current")) < abs(written[-1])
@@ -80,7 +61,7 @@ def test_force_that_one_pad_shows_alone_lowers_the_currents_by_a_share(make_cell
 def test_the_other_finger_stands_still_when_a_servo_drops_its_torque(cell) -> None:
     cell.hold_part(RAMP)
     observe = cell.once(cell.servos[1].plant.overload, in_s=0.5)
-    with pytest.raises(ServoFault, match="overload") as fault:
+    with pytest.raises(errors.ServoFault, match="overload") as fault:
         cell.gripper.hold(2.0, observe)
     assert fault.value.torque_lost
     assert cell.clock.monotonic() - cell.acted_s[0] < 0.02
@@ -96,7 +77,7 @@ def test_the_other_finger_stands_still_when_a_servo_drops_its_torque(cell) -> No
 def test_a_torque_that_is_lost_between_two_commands_is_a_fault_of_the_next_one(cell) -> None:
     cell.hold_part(RAMP)
     cell.servos[1].write(64, b"\0", cell.clock.monotonic())
-    with pytest.raises(ServoFault, match="torque is off although") as fault:
+    with pytest.raises(errors.ServoFault, match="torque is off although") as fault:
         cell.gripper.hold(2.0)
     assert (fault.value.torque_lost, cell.torques) == (True, [1, 0])
 
@@ -127,12 +108,12 @@ IN_THE_WAY = {
 @pytest.mark.parametrize(
     ("how", "error", "left"),
     [
-        ("stop", GraspStopped, "stopped"),
+        ("stop", errors.GraspStopped, "stopped"),
         ("fail", Fails, "stopped"),
-        ("stall", LimitExceeded, "stopped"),
-        ("silent", FingerSilent, "were seen last"),
-        ("deaf", ServoFault, "were seen last"),
-        ("dead", BusTimeout, "were seen last"),
+        ("stall", errors.LimitExceeded, "stopped"),
+        ("silent", errors.FingerSilent, "were seen last"),
+        ("deaf", errors.ServoFault, "were seen last"),
+        ("dead", errors.BusTimeout, "were seen last"),
     ],
 )
 @pytest.mark.parametrize("command", ["release", "open"])
@@ -149,10 +130,10 @@ def test_fingers_on_their_way_stop_where_they_are(make_cell, command, how, error
 
     with pytest.raises(error) as caught:
         getattr(cell.gripper, command)(observer=observe)
-    told = fingers_left(caught.value)
+    told = errors.fingers_left(caught.value)
     other = Fails("x")
-    copy_fingers(caught.value, other)
-    copy_fingers(caught.value, other)
+    errors.copy_fingers(caught.value, other)
+    errors.copy_fingers(caught.value, other)
     assert other.__notes__ == [told]
     doing = "letting go" if command == "release" else "opening"
     assert told.startswith(f"the fingers {left} while {doing}, at an opening of ")
@@ -164,7 +145,7 @@ def test_fingers_on_their_way_stop_where_they_are(make_cell, command, how, error
     cell.clock.sleep(0.25)
     stood_m = cell.mechanics.aperture_m
     assert stood_m < 0.036
-    with suppress(BusTimeout):
+    with suppress(errors.BusTimeout):
         cell.gripper.keep_grip()
     cell.clock.sleep(2.0)
     assert cell.mechanics.aperture_m == pytest.approx(stood_m, abs=3e-4)
@@ -181,7 +162,7 @@ def test_fingers_on_their_way_stop_where_they_are(make_cell, command, how, error
 def test_a_finger_next_to_a_silent_servo_follows_no_error_of_its_encoder(make_started) -> None:
     cell = make_started(aperture_m=0.03)
     observe = cell.once(lambda: cell.device.faults.silent.add(1), in_s=0.2)
-    with pytest.raises(FingerSilent):
+    with pytest.raises(errors.FingerSilent):
         cell.gripper.grasp(RAMP, observe)
     stood_m = cell.mechanics.finger_position_m[1]
     cell.motors[1].encoder_offset_rad = 0.3
@@ -197,10 +178,10 @@ def test_silent_servos_do_not_hold_up_the_report_of_another_fault(make_started) 
         cell.sensor.dead = True
         cell.device.faults.silent.update({1, 2})
 
-    with pytest.raises(ForceSensorStale):
+    with pytest.raises(errors.ForceSensorStale):
         cell.gripper.grasp(RAMP, cell.once(fail, at_n=3.0))
     asked_s = cell.clock.monotonic()
-    with pytest.raises(BusTimeout):
+    with pytest.raises(errors.BusTimeout):
         cell.gripper.keep_grip()
     assert cell.clock.monotonic() - asked_s < 0.02
 
@@ -208,7 +189,7 @@ def test_silent_servos_do_not_hold_up_the_report_of_another_fault(make_started) 
 def test_a_tick_finds_a_tripped_watchdog_too(cell) -> None:
     cell.hold_part(RAMP)
     cell.clock.sleep(1.0)
-    with pytest.raises(ServoFault, match="watchdog"):
+    with pytest.raises(errors.ServoFault, match="watchdog"):
         [cell.gripper.tick() for _ in range(4)]
     assert cell.force_n > 1.4
 
@@ -230,7 +211,7 @@ def test_fingers_that_stand_at_the_end_of_the_time_are_not_taken_for_empty(make_
     """Pads that are nearly blind, and a time that ends before the fingers count as stalled."""
     cell = make_started(rate_hz=200.0, noise_n=0.02, contact_timeout_s=1.0)
     cell.sensor.gain = 0.03
-    with pytest.raises(GripContradicted, match=r"pads show|empty pads"):
+    with pytest.raises(errors.GripContradicted, match=r"pads show|empty pads"):
         cell.gripper.grasp(RAMP)
     assert cell.force_n > 0.5
 
@@ -239,7 +220,7 @@ def test_a_stuck_finger_is_reported(started) -> None:
     started.gripper.open(0.025)
     for motor in started.motors:
         motor.friction_factor = 50.0
-    with pytest.raises(FingerBlocked, match=r"stuck.*gripper.linkage"):
+    with pytest.raises(errors.FingerBlocked, match=r"stuck.*gripper.linkage"):
         started.gripper.open()
     started.gripper.clear_fault()
     assert started.gripper.phase is GripperPhase.HELD_AFTER_FAULT
@@ -253,7 +234,7 @@ def test_a_finger_that_opens_while_its_reported_position_drifts_closes_at_no_sto
         servo.reported_offset_raw = round(-0.5 * (now_s - begin_s) / servo.model.rad_per_pulse)
 
     started.clock.on_advance.append(drift)
-    with pytest.raises(FingerBlocked, match="servo 1"):
+    with pytest.raises(errors.FingerBlocked, match="servo 1"):
         started.gripper.release()
     stopped_rad = started.motors[0].angle_rad
     started.clock.sleep(0.5)
@@ -289,7 +270,7 @@ def test_the_force_stays_below_its_cap_with_a_wrong_encoder_at_any_moment(make_c
     closing, again = partial(close, ramp), partial(gripper.grasp, ramp)
     hold = partial(gripper.hold, 0.3)
     for command in (closing, hold, gripper.clear_fault, gripper.release, again):
-        with suppress(GripperError, ValueError):
+        with suppress(errors.GripperError, ValueError):
             command()
     cell.clock.sleep(0.5)
     assert cell.peak_n <= cap_n
@@ -309,7 +290,7 @@ def test_currents_that_freeze_in_a_grip_let_no_part_go(
         return copysign(0.25, present_a), copysign(0.25, present_a)
 
     observe = cell.once(lambda: monkeypatch.setattr(feedback, "winding_a", frozen), at_n=at_n)
-    with suppress(PositionContradicted):
+    with suppress(errors.PositionContradicted):
         cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.5), observe)
         cell.gripper.hold(1.0)
         cell.gripper.hold_at(2.0, 1.0)
@@ -331,7 +312,9 @@ PATTERNS = {
 
 def test_a_servo_with_another_id_is_named_in_the_table(cell) -> None:
     cell.servos[1].registers.data[7] = 5
-    with pytest.raises(VerificationFailed, match=r"other IDs that answer: 5 \(XM430-W350\)") as bad:
+    with pytest.raises(
+        errors.VerificationFailed, match=r"other IDs that answer: 5 \(XM430-W350\)"
+    ) as bad:
         cell.gripper.start()
     (row,) = bad.value.report.failed
     assert (row.servo_id, row.item, row.expected) == (2, "ping", "an answer at 1000000 baud")
@@ -343,7 +326,7 @@ def test_a_servo_with_another_id_is_named_in_the_table(cell) -> None:
 def test_a_start_on_a_line_of_another_device_names_what_was_heard(cell, pattern) -> None:
     cell.device.faults.silent.update({1, 2})
     cell.device.faults.chatter = pattern
-    with pytest.raises(BusCorrupt, match=r"the servo line did not become quiet.* no packet"):
+    with pytest.raises(errors.BusCorrupt, match=r"the servo line did not become quiet.* no packet"):
         cell.gripper.start()
     assert cell.clock.monotonic() < 2.0
 
@@ -352,7 +335,7 @@ def test_a_start_on_a_line_of_another_device_names_what_was_heard(cell, pattern)
 def test_a_changed_eeprom_register_is_shown_expected_against_found(cell, name, raw) -> None:
     for servo in cell.servos:
         servo.registers.put(name, raw)
-    with pytest.raises(VerificationFailed, match=rf"servo 2 {name}.*found {raw}") as bad:
+    with pytest.raises(errors.VerificationFailed, match=rf"servo 2 {name}.*found {raw}") as bad:
         cell.gripper.start()
     failed = [(row.servo_id, row.item, row.actual) for row in bad.value.report.failed]
     assert failed == [(1, name, str(raw)), (2, name, str(raw))]
@@ -388,7 +371,7 @@ def echo_alone(cell) -> None:
 def test_what_does_not_answer_gets_a_hint(cell, change, hint: str) -> None:
     change(cell)
     before_s = cell.clock.monotonic()
-    with pytest.raises(VerificationFailed, match=hint):
+    with pytest.raises(errors.VerificationFailed, match=hint):
         cell.gripper.start()
     assert cell.clock.monotonic() - before_s < 2.0
 
@@ -434,7 +417,7 @@ def test_an_overload_that_is_only_reported_is_a_note_and_keeps_the_grip(cell) ->
 )
 def test_an_adapter_with_much_latency_is_refused_with_the_remedy(cell, delay_s, remedy) -> None:
     cell.device.faults.delay_s = delay_s
-    with pytest.raises(LinkTooSlow, match=remedy):
+    with pytest.raises(errors.LinkTooSlow, match=remedy):
         cell.gripper.start()
 
 
@@ -457,7 +440,7 @@ def test_a_machine_that_is_too_busy_is_refused(cell, how) -> None:
             return [] if third and how == "lost" else super().answer(servo_id, packet)
 
     cell.device.faults = Busy()
-    with pytest.raises(LinkTooSlow, match="too busy"):
+    with pytest.raises(errors.LinkTooSlow, match="too busy"):
         cell.gripper.start()
 
 
@@ -510,11 +493,11 @@ def test_a_reboot_is_judged_by_the_servo_not_by_its_answer(cell, monkeypatch, lo
     def without(bus: ServoBus, servo_id: int) -> None:
         if lost == "answer":
             reboot(bus, servo_id)
-        raise BusTimeout("reboot: no answer")
+        raise errors.BusTimeout("reboot: no answer")
 
     monkeypatch.setattr(ServoBus, "reboot", without)
     if lost == "request":
-        with pytest.raises(ServoFault, match="lasts after a reboot"):
+        with pytest.raises(errors.ServoFault, match="lasts after a reboot"):
             gripper.clear_fault(reboot=True)
         return
     gripper.clear_fault(reboot=True)
@@ -524,7 +507,9 @@ def test_a_reboot_is_judged_by_the_servo_not_by_its_answer(cell, monkeypatch, lo
 @pytest.mark.parametrize("level", [0, 1])
 def test_a_servo_that_does_not_confirm_is_named_with_its_register(cell, level) -> None:
     cell.servos[1].registers.put("status_return_level", level)
-    with pytest.raises(AnswersOff, match=r"servo 2, although it answers pings: .*\(register 68\)"):
+    with pytest.raises(
+        errors.AnswersOff, match=r"servo 2, although it answers pings: .*\(register 68\)"
+    ):
         cell.bus.write(2, TORQUE_ENABLE, 0)
     assert str(cell.gripper.conditions()[1]) == (
         "servo 2 has no torque"
@@ -573,9 +558,9 @@ def test_the_finger_that_answers_opens_where_the_other_is_silent(cell) -> None:
 
 def test_a_started_gripper_lets_go_after_a_clear_too(cell) -> None:
     cell.hold_part(RAMP)
-    with pytest.raises(ServoFault) as fault:
+    with pytest.raises(errors.ServoFault) as fault:
         cell.gripper.hold(1.0, lambda _: cell.bus.write(1, TORQUE_ENABLE, 0))
-    assert "may still be gripped (the pads measured" in fingers_left(fault.value)
+    assert "may still be gripped (the pads measured" in errors.fingers_left(fault.value)
     cell.gripper.clear_fault()
     assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
     for _ in range(8):
@@ -588,17 +573,21 @@ def test_a_started_gripper_lets_go_after_a_clear_too(cell) -> None:
 def test_nothing_is_opened_where_no_servo_can_be_moved_and_the_way_on_is_named(make_cell) -> None:
     cell = make_cell(n_servos=1, linkage="rack")
     held_by_one(cell)
-    with pytest.raises(ServoFault, match=r"no finger can be opened: servo 1 has no torque .*hand"):
+    with pytest.raises(
+        errors.ServoFault, match=r"no finger can be opened: servo 1 has no torque .*hand"
+    ):
         cell.new_gripper().release()
     cell.device.faults.silent.add(1)
-    with pytest.raises(BusTimeout, match="check supply"):
+    with pytest.raises(errors.BusTimeout, match="check supply"):
         cell.new_gripper().release()
 
 
 def test_a_servo_that_does_not_match_is_made_limp_and_the_message_says_so(cell) -> None:
     leave_part(cell)
     cell.servos[1].registers.put("drive_mode", 1)
-    with pytest.raises(VerificationFailed, match="torque is off now and the fingers did not open"):
+    with pytest.raises(
+        errors.VerificationFailed, match="torque is off now and the fingers did not open"
+    ):
         cell.new_gripper().release()
     assert cell.torques == [0, 0]
 
@@ -611,9 +600,9 @@ def test_a_release_of_one_finger_can_be_stopped_and_ended_later(make_cell) -> No
         if cycle.state.aperture_m > 0.02:
             gripper.request_stop()
 
-    with pytest.raises(GraspStopped) as stopped:
+    with pytest.raises(errors.GraspStopped) as stopped:
         gripper.release(stop)
-    assert "stopped while letting go" in fingers_left(stopped.value)
+    assert "stopped while letting go" in errors.fingers_left(stopped.value)
     assert gripper.fault is None
     assert gripper.phase is GripperPhase.HELD_AFTER_FAULT
     gripper.keep_grip()
@@ -636,7 +625,7 @@ def test_a_fault_while_one_finger_opens_is_that_of_the_gripper(make_cell) -> Non
             gripper.request_stop()
             cell.bus.sync_write = lambda *_a, **_k: None
 
-    with pytest.raises(ServoFault, match="did not take the goal to stand still") as caught:
+    with pytest.raises(errors.ServoFault, match="did not take the goal to stand still") as caught:
         gripper.release(observe)
     assert gripper.fault is caught.value
     assert gripper.phase is GripperPhase.HELD_AFTER_FAULT
@@ -647,7 +636,7 @@ def test_a_fault_while_one_finger_opens_is_that_of_the_gripper(make_cell) -> Non
 def test_a_finger_whose_position_has_leapt_is_not_said_to_be_open(cell) -> None:
     cell.hold_part(RAMP)
     cell.servos[0].plant.encoder_offset_rad += 0.3
-    with pytest.raises(FeedbackImplausible, match="leapt"):
+    with pytest.raises(errors.FeedbackImplausible, match="leapt"):
         cell.gripper.hold(1.0)
     cell.gripper.clear_fault()
     report = cell.gripper.release()
@@ -655,7 +644,7 @@ def test_a_finger_whose_position_has_leapt_is_not_said_to_be_open(cell) -> None:
     left = "the finger of servo 2 is open, the other one was not moved: servo 1 has no torque, and "
     assert str(report).startswith(f"{left}where its finger is, is unknown")
     assert cell.torques == [0, 0]
-    with pytest.raises(FeedbackImplausible, match=r"leapt .* not restarted since then"):
+    with pytest.raises(errors.FeedbackImplausible, match=r"leapt .* not restarted since then"):
         cell.gripper.start()
     cell.servos[0].plant.encoder_offset_rad += -0.3
     cell.gripper.clear_fault(reboot=True)

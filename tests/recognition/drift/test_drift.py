@@ -192,6 +192,8 @@ def test_a_drift_that_was_not_gauged_costs_little(taught, fresh):
 def test_a_gauge_object_shows_the_drift_and_the_rest_is_as_before(taught, fresh):
     gauge = [DRIFT.apply(g) for g in fresh if g.label == "egg"][:3]
     corrected = taught.gauge("egg", gauge)
+    blind = dataclasses.replace(gauge[0], aperture_m=np.full(gauge[0].n_frames, np.nan))
+    assert taught.gauge("egg", [blind, *gauge]).grid.drift == corrected.grid.drift
     grid = corrected.grid
     assert grid.drift.gain == pytest.approx(0.7, rel=0.25)
     assert grid.drift.aperture_offset_m == pytest.approx(-4e-3, abs=2.0 * grid.offset_sd_m)

@@ -148,6 +148,13 @@ def test_figures_fit_each_other(score, fresh):
     assert score.trainer == "level_check"
 
 
+def test_grasps_of_two_individuals_are_not_fused(train, fresh):
+    two = [dataclasses.replace(g, series=str(n % 2)) for n, g in enumerate(fresh)]
+    trainer = make_trainer("level_check")
+    both = [evaluate([(train, t)], trainer, fuse=(4,), unknown_groups=0) for t in (fresh, two)]
+    assert [np.isnan(one.fused_accuracy[4]) for one in both] == [False, True]
+
+
 def test_more_grasps_than_there_are_give_no_figure(train, fresh):
     short = evaluate([(train, fresh)], make_trainer("level_check"), fuse=(50,), unknown_groups=0)
     assert np.isnan(short.fused_accuracy[50])
