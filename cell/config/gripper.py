@@ -110,8 +110,8 @@ class GripperConfig(Section):
 
     port: str = Field(default=SIMULATED, min_length=1)
     """Serial port of the servos, for example /dev/ttyUSB0, or `simulated`; a file must name it."""
-    baud_rate: Literal[57600, 115200, 1000000, 2000000, 3000000, 4000000, 4500000] = 1000000
-    """Baud rate of the servo bus in bit/s; 1000000 is enough for 200 Hz, 57600 is not."""
+    baud_rate: Literal[115200, 1000000, 2000000, 3000000, 4000000, 4500000] = 1000000
+    """Baud rate of the servo bus in bit/s; 1000000 is enough for 200 Hz, 115200 is not."""
     servos: tuple[ServoConfig, ...] = Field(
         default=(ServoConfig(id=1), ServoConfig(id=2)), min_length=1, max_length=2
     )
@@ -121,7 +121,7 @@ class GripperConfig(Section):
     )
     """Conversion of servo angle to opening."""
     loop_rate_hz: float = setting_of(GripperSettings, "loop_rate_hz", at_most=500.0)
-    """Rate of the force loop in Hz, 20 to 500."""
+    """Rate of the force loop in Hz, 100 to 500."""
     aperture_open_mm: float = setting_of(GripperSettings, "aperture_open_m", MILLI)
     """Opening between the pads before a grasp in mm, 2 to 400; a little more than the widest
     object. Each mm less makes a grasp about 0.03 s shorter."""

@@ -26,6 +26,7 @@ from gripper.force.ramp import check_ramp, heat_note, largest_ramp_n
 from gripper.mechanics.impact import check_approach
 from gripper.mechanics.kinematics import Linkage
 from gripper.mechanics.transmission import Mechanics
+from gripper.servos.goal_limits import CAP_SHARE
 from gripper.settings import GripperSettings
 from recognition.recognizers import DEFAULT_TRAINER
 from tactile.errors import LayoutError
@@ -203,7 +204,7 @@ class CellConfig(Section):
             raise ValueError(
                 f"gripper.loop_rate_hz is {gripper.loop_rate_hz:g}, but gripper.baud_rate = "
                 f"{gripper.baud_rate} allows at most {most_hz:.0f} Hz: raise the baud rate, also "
-                f"in the servos, or lower the loop rate"
+                f"in the servos, or lower the loop rate, which is at least 100 Hz"
             )
         self._check_closing(speed_m_s)
         period_ms = 1e3 * tactile.frame_period_s
@@ -353,6 +354,15 @@ class CellConfig(Section):
                 "longer links, a larger pinion or servos with less friction",
             )
         most_n = max(self.sequence.forces_n[1], self.sequence.carry_force_n)
+        cap_n, paths = self.gripper.force_max_n, self.mechanics.end_transmissions()
+        presses_a = [path.pressing_current_a(CAP_SHARE * cap_n) for path in paths]
+        sure_n = min(p.force_band_n(a)[0] for p, a in zip(paths, presses_a, strict=True))
+        if sure_n < most_n and self.self_zero in ("on_demand", "never"):
+            notes += (
+                f"until a self-zero measures the drives, the grip may stay at {sure_n:.1f} N of "
+                f"{most_n:g} N, so that no drive exceeds gripper.force_max_n = {cap_n:g} N. Raise "
+                "that, ask for less force, or measure: `tactile-cell hand zero`",
+            )
         if hot := heat_note(most_n, self.mechanics):
             notes += (hot,)
         asked_mm_s = self.gripper.approach_speed_mm_s

@@ -49,7 +49,7 @@ MOST_STICTION = 2.0
 """Largest friction at rest over that in motion, of an XL330 (arXiv 2410.08650)."""
 _PUSH_PERIODS = 2
 """Periods between two pushes beyond friction in motion: a push lasts one period. [chosen]"""
-_CAP_SHARE = 0.95
+CAP_SHARE = 0.95
 """Share of the cap up to which a drive presses: its friction and torque are measured to 2 %."""
 _RESERVE_N = 1.5
 """Force in N for the moving mass in addition to the set-point, for the rate of a ramp. [tuned]"""
@@ -237,7 +237,7 @@ class GoalWriter:
         if pushes:
             stiction = MOST_STICTION / current_share(self._settings.period_s)
             asked_a += (stiction - 1.0) * path.drive.breakaway_a
-        most_n = _CAP_SHARE * self._settings.force_max_n
+        most_n = CAP_SHARE * self._settings.force_max_n
         return min(asked_a, path.pressing_current_a(most_n))
 
     def _closing(

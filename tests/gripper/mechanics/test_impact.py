@@ -65,8 +65,9 @@ def test_a_cap_below_which_nothing_stops_is_refused_and_the_remedy_works() -> No
 
 def test_a_config_is_refused_or_slowed_with_the_reason() -> None:
     assert CellConfig().notes == ()
-    slowed = changed_config(CellConfig(), {"gripper.approach_speed_mm_s": 150.0})
-    (note,) = slowed.notes
+    unmeasured = {"self_zero": "never", "sequence.carry_force_n": 12.0}
+    assert "stay at 9.4 N of 12 N" in changed_config(CellConfig(), unmeasured).notes[0]
+    (note,) = changed_config(CellConfig(), {"gripper.approach_speed_mm_s": 150.0}).notes
     assert re.match(r"the fingers approach with as little as 7\d\.\d mm/s, not with gripper", note)
     rack = {"kind": "rack_pinion", "pinion_radius_mm": 8.0}
     short = {"gripper.linkage": rack, "gripper.force_max_n": 30.0}
