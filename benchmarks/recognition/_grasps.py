@@ -78,14 +78,15 @@ def followed(
 def figures(answers: Sequence[JudgedAnswer], groups: Sequence[object] | None = None) -> str:
     """Return the shares of right, wrong and missing names, of taught objects and of new ones.
 
-    With a group of each answer, the intervals are those of a bootstrap of the groups.
+    With a group of each answer, the intervals are those of a bootstrap of the groups, which are
+    many answers each: teachings, cells.
     """
 
     def text(kind: str, hits: Sequence[bool], taught: bool) -> str:
         among = [
             group for one, group in zip(answers, groups or (), strict=False) if one.taught is taught
         ]
-        interval = interval_by_object(hits, list(map(str, among))) if among else None
+        interval = interval_by_object(hits, list(map(str, among)), fewest=2) if among else None
         return f"{kind} {share(sum(hits), len(hits), interval)}"
 
     known = [one for one in answers if one.taught]

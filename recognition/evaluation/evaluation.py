@@ -107,16 +107,18 @@ _BOOTSTRAP_OBJECTS = 12
 that should hold 95 %."""
 
 
-def interval_by_object(right: Sequence[bool], objects: Sequence[str]) -> tuple[float, float]:
+def interval_by_object(
+    right: Sequence[bool], objects: Sequence[str], *, fewest: int = _BOOTSTRAP_OBJECTS
+) -> tuple[float, float]:
     """Return the 95 % interval of a share by a bootstrap of objects (cluster bootstrap).
 
-    With few objects, or where all grasps are right or all wrong, it is Wilson's with one trial for
-    each object. (0, 1) without grasps, or for different results of one object.
+    With fewer than ``fewest`` objects, or where all grasps are right or all wrong, it is Wilson's
+    with one trial for each object. (0, 1) without grasps, or for different results of one object.
     """
     if not right or len(set(right)) > len(set(objects)):
         return 0.0, 1.0
     weights = object_weights(objects)
-    if len(weights) < _BOOTSTRAP_OBJECTS or len(set(right)) < 2:
+    if len(weights) < fewest or len(set(right)) < 2:
         return wilson_interval(sum(right) / len(right) * len(weights), len(weights))
     each = np.array([weights[name] for name in objects])
     return percentile_interval(np.asarray(right, dtype=np.float64) @ each / each.sum(axis=0))
