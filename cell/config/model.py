@@ -25,8 +25,7 @@ from gripper.errors import LimitExceeded
 from gripper.force.ramp import check_ramp, heat_note, largest_ramp_n
 from gripper.mechanics.impact import check_approach
 from gripper.mechanics.kinematics import Linkage
-from gripper.mechanics.transmission import Mechanics
-from gripper.servos.goal_limits import CAP_SHARE
+from gripper.mechanics.transmission import CAP_SHARE, Mechanics
 from gripper.settings import GripperSettings
 from recognition.recognizers import DEFAULT_TRAINER
 from tactile.errors import LayoutError

@@ -18,6 +18,8 @@ _FRICTION_RESERVE = 1.2
 """Friction at rest over friction in motion, which a finger must overcome to move. [assumed]"""
 MOST_FRICTION = 1.6
 """Largest friction of a gearing over its model's. A larger value has another cause. [assumed]"""
+CAP_SHARE = 0.95
+"""Share of the cap up to which a drive presses: its friction and torque are measured to 2 %."""
 BOOST_PER_S = 2.0
 """Growth in 1/s of the factor on the current of fingers that stand still, up to
 `Transmission.most_boost`. [tuned]"""

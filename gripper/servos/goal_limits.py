@@ -22,7 +22,7 @@ from gripper.mechanics.impact import (
     current_share,
     impact_limit,
 )
-from gripper.mechanics.transmission import Mechanics, Transmission
+from gripper.mechanics.transmission import CAP_SHARE, Mechanics, Transmission
 from gripper.servos.motion import slow_rad_s
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.force_sensor import QUIET_N, ForceSample, RecentForce
@@ -49,8 +49,6 @@ MOST_STICTION = 2.0
 """Largest friction at rest over that in motion, of an XL330 (arXiv 2410.08650)."""
 _PUSH_PERIODS = 2
 """Periods between two pushes beyond friction in motion: a push lasts one period. [chosen]"""
-CAP_SHARE = 0.95
-"""Share of the cap up to which a drive presses: its friction and torque are measured to 2 %."""
 _RESERVE_N = 1.5
 """Force in N for the moving mass in addition to the set-point, for the rate of a ramp. [tuned]"""
 _RUNNING_SHARE = 1.25
