@@ -25,7 +25,7 @@ from gripper.errors import LimitExceeded
 from gripper.force.ramp import check_ramp, heat_note, largest_ramp_n
 from gripper.mechanics.impact import check_approach
 from gripper.mechanics.kinematics import Linkage
-from gripper.mechanics.transmission import CAP_SHARE, Mechanics
+from gripper.mechanics.transmission import Mechanics
 from gripper.settings import GripperSettings
 from recognition.recognizers import DEFAULT_TRAINER
 from tactile.errors import LayoutError
@@ -353,9 +353,7 @@ class CellConfig(Section):
                 "longer links, a larger pinion or servos with less friction",
             )
         most_n = max(self.sequence.forces_n[1], self.sequence.carry_force_n)
-        cap_n, paths = self.gripper.force_max_n, self.mechanics.end_transmissions()
-        presses_a = [path.pressing_current_a(CAP_SHARE * cap_n) for path in paths]
-        sure_n = min(p.force_band_n(a)[0] for p, a in zip(paths, presses_a, strict=True))
+        cap_n, sure_n = self.gripper.force_max_n, self.mechanics.sure_force_n
         if sure_n < most_n and self.self_zero in ("on_demand", "never"):
             notes += (
                 f"until a self-zero measures the drives, the grip may stay at {sure_n:.1f} N of "

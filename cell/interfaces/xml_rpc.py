@@ -334,7 +334,7 @@ def _checked(taken: inspect.Signature, arguments: tuple[Any, ...]) -> Iterable[A
         kind = taken.parameters[name].annotation
         if kind is not str and not isinstance(value, int | float):
             raise ConfigError(f"{name} is {value!r:.40}; write a number")
-        if kind is int and value == value // 1:
+        if kind is int and isinstance(value, float) and value.is_integer():
             given[name] = int(value)
     return given.values()
 

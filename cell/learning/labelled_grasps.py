@@ -1,6 +1,7 @@
 """Labelled grasps of data sets and recordings, and the data sets to which they are added."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,12 +30,14 @@ def name_recorded(source: Path, label: str, dataset: Path, series: str = "") -> 
         raise CellError(
             f"{source}: each of its grasps has a label; use it with `model train` directly"
         )
-    there = dataset_to_extend(dataset, grasps[0].pads)
-    repeated = set(map(id, duplicate_grasps([*there, *grasps])))
-    named = [replace(grasp, label=label) for grasp in grasps if id(grasp) not in repeated]
-    if not named:
-        raise CellError(f"{source}: {dataset} has each of its grasps without a label already")
-    return len(named), append_to_dataset(dataset, named, series)
+    with _extending(dataset, grasps[0].pads) as before:
+        repeated = set(map(id, duplicate_grasps([*before, *grasps])))
+        new = [grasp for grasp in grasps if id(grasp) not in repeated]
+        if not new:
+            raise CellError(f"{source}: {dataset} has each of its grasps without a label already")
+        named = (replace(grasp, label=label, series=series) for grasp in new)
+        write_dataset(dataset, [*before, *named])
+    return len(new), len(before)
 
 
 def read_labelled_grasps(path: Path, note: Callable[[str], None]) -> tuple[Grasp, ...]:
@@ -87,14 +90,19 @@ def dataset_to_extend(path: Path, pads: PadArray) -> tuple[Grasp, ...]:
     return before
 
 
+@contextmanager
+def _extending(path: Path, pads: PadArray) -> Iterator[tuple[Grasp, ...]]:
+    """Give the present grasps of a data set; other commands cannot add to it meanwhile."""
+    _check_folder(path)
+    with alone_in(path.parent):
+        yield dataset_to_extend(path, pads)
+
+
 def append_to_dataset(path: Path, new: Sequence[Grasp], series: str = "") -> int:
     """Rewrite a data set with further grasps of one series at its end; return the number before.
 
-    Other commands may have added grasps since it was read last: it is read again, and they wait
-    meanwhile. Raises as `dataset_to_extend` and `write_dataset`; the file does not change then.
+    Raises as `dataset_to_extend` and `write_dataset`; the file does not change then.
     """
-    _check_folder(path)
-    with alone_in(path.parent):
-        before = dataset_to_extend(path, new[0].pads)
+    with _extending(path, new[0].pads) as before:
         write_dataset(path, [*before, *(replace(grasp, series=series) for grasp in new)])
     return len(before)

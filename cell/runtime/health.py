@@ -56,16 +56,17 @@ def _drive(drive: DriveCharacteristic | None) -> dict[str, Any] | None:
     return {name: getattr(drive, name) for name in names}
 
 
-def _can(config: CellConfig, cell: Cell) -> dict[str, Any]:
+def _can(config: CellConfig, cell: Cell) -> dict[str, Any] | None:
     """Lost frames among the newest: one gives ``watch``, the share of the limit is a fault."""
     source = cell.controller.hand.statistics.source
     frame = cell.controller.latest.frame
-    age_s = None if frame is None else max(0.0, cell.controller.clock.monotonic() - frame.t_s)
+    if frame is None:
+        return None
     lost = source.recent_loss_rate
     return _level(watch=lost > 0.0, bad=lost > config.tactile.loss_max_share) | {
         "frames": source.frames.complete,
         "lost": source.frames.lost,
-        "age_s": age_s,
+        "age_s": max(0.0, cell.controller.clock.monotonic() - frame.t_s),
     }
 
 

@@ -189,6 +189,15 @@ class Mechanics:
             path for end_m in ends_m for path in self.transmissions(self.linkage.angles_rad(end_m))
         ]
 
+    @property
+    def sure_force_n(self) -> float:
+        """Force in N that each drive reaches at any opening, as strong as the cap lets it press."""
+        cap_n = CAP_SHARE * self.settings.force_max_n
+        return min(
+            path.force_band_n(path.pressing_current_a(cap_n))[0]
+            for path in self.end_transmissions()
+        )
+
     def opening_steps_m(self) -> list[float]:
         """Return the change of the opening in m by one count of each servo, at closed fingers."""
         return [

@@ -147,6 +147,8 @@ _ARRIVAL_S = attrgetter("timestamp")
 """Time in s at which a message arrives."""
 _FLOOD_ID = 0x6FF
 """Identifier of flooding messages: an SDO request to the unused node 127."""
+_HIGHEST_ID = 0x7FF
+"""Largest identifier of 11 bits: it goes last."""
 _FLOOD_S = 0.02
 """Longest wait in s of a flooding message: a full controller sends nothing more."""
 _OUTBOX_LIMIT = 100
@@ -247,7 +249,7 @@ class CanLink:
 
     def free_s(self, now_s: float) -> float:
         """Return when all that waits now will be through, in s."""
-        return self._wire.end_s(now_s, _FLOOD_ID)
+        return self._wire.end_s(now_s, _HIGHEST_ID)
 
     def clear(self, now_s: float = math.inf) -> None:
         """Drop messages that arrived until ``now_s`` s, as by closing the adapter."""

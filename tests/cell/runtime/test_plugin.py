@@ -946,19 +946,19 @@ def test_heat_is_judged_by_the_limit_and_where_the_current_is_lowered(
     make_bench, limit: dict[str, float], level: str
 ) -> None:
     bench = make_bench().ready()
-    config = bench.config.model_copy(
-        update={"gripper": bench.config.gripper.model_copy(update=limit)}
-    )
+    gripper = bench.config.gripper.model_copy(update=limit)
+    config = bench.config.model_copy(update={"gripper": gripper})
     assert health_values(config, bench.cell, None)["servos"]["level"] == level
 
 
 def test_lost_frames_are_judged_by_their_limit(make_bench) -> None:
-    bench = make_bench(small_config(tactile__loss_max_share=0.5)).ready()
+    bench = make_bench(small_config(tactile__loss_max_share=0.5))
+    assert health_values(bench.config, bench.cell, None)["can"] is None
+    bench.ready()
     assert health_values(bench.config, bench.cell, None)["can"]["level"] == "ok"
     bench.simulated.inject("can.lose_next=12")
     bench.idle(0.25)
-    can = health_values(bench.config, bench.cell, None)["can"]
-    assert can["level"] == "watch"
+    assert health_values(bench.config, bench.cell, None)["can"]["level"] == "watch"
     strict = small_config(tactile__loss_max_share=0.001)
     assert health_values(strict, bench.cell, None)["can"]["level"] == "bad"
 
