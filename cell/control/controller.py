@@ -469,9 +469,7 @@ class CellController:
         step = self._borne(step)
         outcome = self.hand.squeeze(self._ramp(step), watch)
         self.journal.note("ramp", f"further ramp to {step.force_n:.1f} N in the same grip")
-        if outcome.short:
-            self.journal.note("ramp", outcome.short)
-        return GraspRecord(
+        record = GraspRecord(
             grasp=spliced(first.grasp, collector.grasp(command=step.command), from_n),
             step=step,
             reached=first.reached,
@@ -479,6 +477,9 @@ class CellController:
             cycles=tuple(collector.cycles),
             same_grip=True,
         )
+        if record.ended:
+            self.journal.note("ramp", record.ended)
+        return record
 
     # -- release -------------------------------------------------------------------------------
 

@@ -232,9 +232,7 @@ def test_a_clock_that_is_off_by_three_percent_is_none_that_lags(rate, pauses) ->
 @pytest.mark.parametrize("rate", [0.97, 1.0, 1.03])
 @pytest.mark.parametrize("begins_s", [2.0, 5.1, 12.0])
 def test_a_lag_of_one_period_is_refused_for_as_long_as_it_lasts(rate, begins_s) -> None:
-    new, old, came = refused(
-        lambda _now_s: rate, begins_s + 2.0, lags=lambda now_s: now_s > begins_s
-    )
+    new, old, came = refused(lambda _now_s: rate, begins_s + 2.0, lags=lambda t_s: t_s > begins_s)
     assert new == 0
     assert old == came > 300
 
