@@ -15,7 +15,7 @@ from cell.config.gripper import use_servo_models
 from cell.errors import CellError
 from cell.files import SERVO_BACKUP, free_name, read_json, write_json
 from cell.plugins import SERVO_MODELS
-from gripper.dynamixel.bus import ANSWERS_ALL, HIGHEST_ID, ServoBus, ServoIdentity, protocol_1_text
+from gripper.dynamixel.bus import ANSWERS_ALL, HIGHEST_ID, ServoBus, ServoIdentity
 from gripper.dynamixel.control_table import (
     BAUD_CODES,
     BAUD_RATE,
@@ -31,10 +31,8 @@ from gripper.errors import ServoRejected
 from gripper.servos.verification import Requirement, requirements
 from gripper.values.servo_checks import hardware_error_names, overload_text
 
-_USUAL_RATES = (57600, 1_000_000)
-"""Baud rates of the factory and of this package."""
-SCAN_RATES = (*_USUAL_RATES, *(rate for rate in BAUD_CODES if rate not in _USUAL_RATES))
-"""Order in which baud rates are scanned."""
+SCAN_RATES = tuple(sorted(BAUD_CODES, key=lambda rate: rate not in (57600, 1_000_000)))
+"""Order in which baud rates are scanned: at first those of the factory and of this package."""
 _BOOT_S = 1.0
 """Wait in s for new servos to boot."""
 _MOST_FINGER_SERVOS = 2
@@ -171,7 +169,6 @@ def _numbered(bench: Bench, dialog: Dialog, port: str, rate: int) -> list[ServoI
             n_wanted = _MOST_FINGER_SERVOS
             _ask_for_one_alone(dialog, scan)
         elif not scan.servos:
-            _look_for_protocol_1(bench, port)
             raise StepFailed(
                 "no servo answers at any baud rate: check the supply (12 V; its LED flashes once "
                 "at power-on), the wires to the adapter, and that it is half-duplex (U2D2)"
@@ -189,14 +186,6 @@ def _numbered(bench: Bench, dialog: Dialog, port: str, rate: int) -> list[ServoI
         scan = scan_servos(bench, port, dialog, rates)
         if not scan.servos and not scan.crowded:
             scan = scan_servos(bench, port, dialog)
-
-
-def _look_for_protocol_1(bench: Bench, port: str) -> None:
-    """Raise StepFailed where a servo answers in Protocol 1.0."""
-    for rate in _USUAL_RATES:
-        with bench.servo_bus(port, rate) as bus:
-            if ids := bus.scan_protocol_1():
-                raise StepFailed(f"{protocol_1_text(ids)} (at {rate} bit/s)")
 
 
 def _demand_answers(bench: Bench, dialog: Dialog, port: str, scan: Scan) -> None:

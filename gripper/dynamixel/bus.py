@@ -9,14 +9,11 @@ older answer of this servo is pending.
 """
 
 import struct
-import threading
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
-
-from dynamixel_sdk import COMM_SUCCESS, Protocol1PacketHandler
 
 from gripper.clock import Clock
 from gripper.dynamixel.control_table import (
@@ -37,7 +34,6 @@ from gripper.dynamixel.protocol2 import (
 from gripper.dynamixel.serial_port import ByteStream, SdkPort
 from gripper.errors import (
     AnswersOff,
-    BusBusy,
     BusCorrupt,
     BusTimeout,
     LimitExceeded,
@@ -68,8 +64,6 @@ _LONGEST_QUIET_WAIT = 10.0
 take, so that only a line that never becomes quiet reaches it."""
 _SLOT_S = 0.003
 """Time in s that a servo may take for its answer to a broadcast ping, for each ID."""
-_LOCK_TIMEOUT_S = 1.0
-"""Longest wait in s for another thread's transaction."""
 _CRC_REFUSED = 3
 """Error number of a servo that received a damaged request (e-Manual, "Error": CRC)."""
 _HEARD_BYTES = 16
@@ -163,7 +157,7 @@ class _NoAnswerError(Exception):
 
 
 class ServoBus:
-    """Transactions with servos on one line; safe to use from several threads.
+    """Transactions with servos on one line, from one thread.
 
     A lost answer is requested again after a ping: once within `in_loop`, up to three times with
     longer waits outside of it. A late answer is never taken for a new one.
@@ -233,7 +227,6 @@ class ServoBus:
         self._last_error: BusTimeout | BusCorrupt | None = None
         self._ram_shifts = dict(ram_shifts or {})
         self._counts = dict.fromkeys(BusStatistics.__slots__, 0)
-        self._lock = threading.RLock()
         self._closed = False
 
     @property
@@ -264,31 +257,18 @@ class ServoBus:
         """
         answers: list[ServoIdentity] = []
         damaged = False
-        with self.exclusive():
-            self._handler.send(self.port, BROADCAST_ID, Instruction.PING, b"")
-            wire_s = 10.0 / self.baudrate * (STATUS_OVERHEAD + PING_SIZE) * (HIGHEST_ID + 1)
-            slots_s = _SLOT_S * HIGHEST_ID
-            self.port.start_timeout(wire_s + slots_s + self.port.allowance_s)
-            while (status := self._handler.receive(self.port)) is not None:
-                damaged |= bool(self._handler.dropped) or len(status.data) != PING_SIZE
-                if len(status.data) == PING_SIZE:
-                    answers.append(self._identity(status))
-            damaged |= bool(self._handler.dropped)
-            self._mark_suspect()
+        self._begin()
+        self._handler.send(self.port, BROADCAST_ID, Instruction.PING, b"")
+        wire_s = 10.0 / self.baudrate * (STATUS_OVERHEAD + PING_SIZE) * (HIGHEST_ID + 1)
+        slots_s = _SLOT_S * HIGHEST_ID
+        self.port.start_timeout(wire_s + slots_s + self.port.allowance_s)
+        while (status := self._handler.receive(self.port)) is not None:
+            damaged |= bool(self._handler.dropped) or len(status.data) != PING_SIZE
+            if len(status.data) == PING_SIZE:
+                answers.append(self._identity(status))
+        damaged |= bool(self._handler.dropped)
+        self._mark_suspect()
         return tuple(answers), damaged
-
-    def scan_protocol_1(self, ids: Sequence[int] = range(HIGHEST_ID + 1)) -> tuple[int, ...]:
-        """Ping each ID once in Protocol 1.0 and return the servos' IDs; for diagnosis."""
-        answering, handler = [], Protocol1PacketHandler()
-        with self.exclusive():
-            for servo_id in ids:
-                ping = [0, 0, servo_id, 2, int(Instruction.PING), 0]
-                answer, result, _ = handler.txRxPacket(self.port, ping)
-                # Not its echo.
-                if result == COMM_SUCCESS and answer != ping:
-                    answering.append(servo_id)
-            self._mark_suspect()
-        return tuple(answering)
 
     def shares_id(self, servo_id: int) -> bool:
         """Return whether several servos answer to one ID.
@@ -366,17 +346,17 @@ class ServoBus:
         # Requests must not accumulate at a slow machine.
         all_silent = min(map(self.misses.__getitem__, ids)) >= _ALL_SILENT_MISSES
         answers: dict[int, StatusPacket] = {}
-        with self.exclusive(quiet=self.patient or all_silent):
-            deadline_s = None if self.patient else self._clock.monotonic() + self._period_s
-            self._handler.send(self.port, BROADCAST_ID, Instruction.SYNC_READ, params + bytes(ids))
-            try:
-                for servo_id in ids:
-                    answers[servo_id] = _accepted(self._receive(servo_id, size))
-            except _NoAnswerError as failure:
-                # The servos answer one after the other: after a missing answer no other follows.
-                for servo_id in ids[len(answers) :]:
-                    request = _Request(servo_id, Instruction.READ, size, action, params)
-                    answers[servo_id] = self._retry(request, failure, deadline_s)
+        self._begin(quiet=self.patient or all_silent)
+        deadline_s = None if self.patient else self._clock.monotonic() + self._period_s
+        self._handler.send(self.port, BROADCAST_ID, Instruction.SYNC_READ, params + bytes(ids))
+        try:
+            for servo_id in ids:
+                answers[servo_id] = _accepted(self._receive(servo_id, size))
+        except _NoAnswerError as failure:
+            # The servos answer one after the other: after a missing answer no other follows.
+            for servo_id in ids[len(answers) :]:
+                request = _Request(servo_id, Instruction.READ, size, action, params)
+                answers[servo_id] = self._retry(request, failure, deadline_s)
         return {i: block.decode(_checked(status, action).data) for i, status in answers.items()}
 
     def sync_write(self, values: Mapping[int, Sequence[int]], block: RegisterBlock) -> None:
@@ -397,8 +377,8 @@ class ServoBus:
         for servo_id, raws in values.items():
             params += bytes((servo_id,)) + block.encode(raws)
         # No servo answers: a late answer does no harm.
-        with self.exclusive(quiet=False):
-            self._handler.send(self.port, BROADCAST_ID, Instruction.SYNC_WRITE, params)
+        self._begin(quiet=False)
+        self._handler.send(self.port, BROADCAST_ID, Instruction.SYNC_WRITE, params)
 
     def reboot(self, servo_id: int) -> None:
         """Restart a servo: torque off, RAM at its defaults; it lets a held part go.
@@ -417,42 +397,23 @@ class ServoBus:
 
     def close(self) -> None:
         """Close the line; the servos keep their last goals, and transactions raise PortLost."""
-        with self._lock:
-            self._closed = True
-            self.port.close()
+        self._closed = True
+        self.port.close()
 
-    def exclusive(self, *, quiet: bool = True) -> "_Transaction":
-        """Hold the line for one transaction; ``quiet``: after a suspect line has become quiet.
+    def _begin(self, *, quiet: bool = True) -> None:
+        """Begin a transaction; ``quiet``: after a suspect line has become quiet.
 
-        Raises
-        ------
-        BusBusy
-            When another thread holds the line for more than 1 s.
-        PortLost
-            After `close`.
-        BusCorrupt
-            When the line never becomes quiet.
+        Raises PortLost after `close`, and BusCorrupt when the line never becomes quiet.
         """
-        return _Transaction(self._begin, self._end, quiet)
-
-    def _begin(self, quiet: bool) -> None:
-        if not self._lock.acquire(timeout=_LOCK_TIMEOUT_S):
-            raise BusBusy(f"another thread holds the servo bus for more than {_LOCK_TIMEOUT_S} s")
-        try:
-            if self._closed:
-                raise PortLost("the servo bus is closed: open it again")
-            self._counts["transactions"] += 1
-            if self._suspect and quiet:
-                self._wait_until_quiet()
-            elif self._suspect and self._clock.monotonic() - self._suspect_since_s > _LATE_GUARD_S:
-                self._mark_clean()
-        except BaseException:
-            self._end()
-            raise
-
-    def _end(self) -> None:
+        if self._closed:
+            raise PortLost("the servo bus is closed: open it again")
+        # The SDK keeps it after a request without an answer.
         self.port.is_using = False
-        self._lock.release()
+        self._counts["transactions"] += 1
+        if self._suspect and quiet:
+            self._wait_until_quiet()
+        elif self._suspect and self._clock.monotonic() - self._suspect_since_s > _LATE_GUARD_S:
+            self._mark_clean()
 
     def _address(self, servo_id: int, what: Register | RegisterBlock) -> int:
         """Return the address of an item or a block in the control table of a servo's model."""
@@ -487,25 +448,25 @@ class ServoBus:
         quiet. Raises ServoRejected when the servo refuses.
         """
         _check_id(request.servo_id)
-        with self.exclusive(quiet=self.patient):
-            try:
-                if self._suspect and not self.patient:
-                    self._ping(request.servo_id)
-                status = _accepted(self._exchange(request))
-            except _NoAnswerError as failure:
-                status = self._retry(request, failure)
+        self._begin(quiet=self.patient)
+        try:
+            if self._suspect and not self.patient:
+                self._ping(request.servo_id)
+            status = _accepted(self._exchange(request))
+        except _NoAnswerError as failure:
+            status = self._retry(request, failure)
         return _checked(status, request.action)
 
     def _ask_once(self, request: _Request, *, patient: bool = False) -> tuple[StatusPacket, float]:
         """Send a request that is never repeated; return the answer and the time in s it took."""
         _check_id(request.servo_id)
-        with self.exclusive():
-            sent_s = self._clock.monotonic()
-            try:
-                status = self._exchange(request, patient=patient)
-            except _NoAnswerError as failure:
-                raise self._given_up(failure, request) from None
-            return status, self._clock.monotonic() - sent_s
+        self._begin()
+        sent_s = self._clock.monotonic()
+        try:
+            status = self._exchange(request, patient=patient)
+        except _NoAnswerError as failure:
+            raise self._given_up(failure, request) from None
+        return status, self._clock.monotonic() - sent_s
 
     def _mark_suspect(self) -> None:
         self._suspect = True
@@ -651,19 +612,6 @@ class ServoBus:
         )
 
 
-class _Transaction:
-    """The line, held; a class, because a generator takes longer in each period."""
-
-    def __init__(self, begin: Callable[[bool], None], end: Callable[[], None], quiet: bool) -> None:
-        self._begin, self._end, self._quiet = begin, end, quiet
-
-    def __enter__(self) -> None:
-        self._begin(self._quiet)
-
-    def __exit__(self, *_error: object) -> None:
-        self._end()
-
-
 class _InLoop:
     """Transactions of a period."""
 
@@ -680,14 +628,6 @@ class _InLoop:
 def _ping_request(servo_id: int) -> _Request:
     """Return the request of a ping."""
     return _Request(servo_id, Instruction.PING, PING_SIZE, f"ping of servo {servo_id}")
-
-
-def protocol_1_text(ids: Sequence[int]) -> str:
-    """Return the hint for servos that answer in Protocol 1.0."""
-    return (
-        f"answers in Protocol 1.0 come from servo {', '.join(map(str, ids))}: set Protocol Type "
-        f"(register 13) to 2 with the servo maker's wizard"
-    )
 
 
 def _check_id(servo_id: int) -> None:

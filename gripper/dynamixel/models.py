@@ -5,7 +5,6 @@ Source: ROBOTIS e-Manual, pages of each model, sections "Specifications" and "Co
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from enum import IntEnum
 from functools import cache
 from math import copysign, sqrt, tau
@@ -109,8 +108,8 @@ class ServoModel:
     winding."""
     holding_a: float
     peak_a: float
-    """A of the winding that the servo bears for hours, and for 2 s. Servos of users tripped above
-    them, or became too hot."""
+    """A of the winding that the servo bears for hours, and for a second. Servos of users tripped
+    above them, or became too hot."""
     no_load_rad_s: float
     """Speed without load at the nominal voltage, from the data sheet."""
     rotor_inertia_kg_m2: float

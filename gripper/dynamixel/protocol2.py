@@ -5,7 +5,6 @@ methods send a packet without its stuffing, and lose a byte of a packet that is 
 a damaged packet they also drop a whole one behind it.
 """
 
-from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -27,8 +26,6 @@ _ID_AT, _LENGTH_AT, _BODY_AT = 4, 5, 7
 """Offsets of ID, length (2 bytes) and instruction in a packet."""
 _CRC_SIZE = 2
 """Bytes of the CRC at the end of a packet."""
-_CRC_TABLE = tuple(Protocol2PacketHandler().updateCRC(0, (byte,), 1) for byte in range(256))
-"""The SDK's own table; its method makes it again with every call."""
 
 
 class Instruction(IntEnum):
@@ -105,15 +102,6 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
         if _STUFFED in body:
             _change(packet, body.replace(_STUFFED, _HEADER))
         return packet
-
-    def updateCRC(  # noqa: N802
-        self, crc_accum: int, data_blk_ptr: Sequence[int], data_blk_size: int
-    ) -> int:
-        """Return the CRC of the first bytes, continued from ``crc_accum``."""
-        crc = crc_accum
-        for byte in data_blk_ptr[:data_blk_size]:
-            crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ byte]
-        return crc
 
 
 def _change(packet: list[int], body: bytes) -> None:

@@ -5,7 +5,7 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 
 from gripper.clock import Clock
-from gripper.dynamixel.bus import ServoBus, protocol_1_text
+from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
     BUS_WATCHDOG,
     GOAL_CURRENT,
@@ -67,8 +67,6 @@ _BOOT_TIMEOUT_S = 3.0
 _BOOT_RETRY_S = 0.1
 """Time in s between two requests to a servo that boots."""
 _TORQUE = RegisterBlock(TORQUE_ENABLE)
-_FACTORY_ID = 1
-"""ID of a new servo."""
 _CHECKS = 3
 """Checks of each servo in turn: torque, a register of the start, bus watchdog."""
 
@@ -377,8 +375,6 @@ class Servos:
             else "check supply, cable, gripper.baud_rate and gripper.servos[].id, and that no two "
             "servos share an ID"
         )
-        if old := self._bus.scan_protocol_1(sorted({*silent, _FACTORY_ID})):
-            advice = protocol_1_text(old)
         raise ServoMissing(report, advice) from next(iter(silent.values()))
 
     def verify(self, *, correct: bool, refuse: bool = False) -> VerificationReport:

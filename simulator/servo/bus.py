@@ -20,7 +20,6 @@ from simulator.servo.device import SimulatedServo
 from simulator.servo.faults import WireFaults
 from simulator.servo.protocol2 import (
     BROADCAST_ID,
-    HEADER,
     STATUS,
     Instruction,
     Packet,
@@ -91,8 +90,6 @@ class ServoBusDevice:
         self._line_free_s = end_s
         if faults.echo:
             self._send_at(end_s, data)
-        if not data.startswith(HEADER):
-            self._answer_protocol_1(data, end_s)
         for packet in self._parser.push(faults.request(data)):
             self._dispatch(packet, end_s)
 
@@ -134,18 +131,11 @@ class ServoBusDevice:
         elif packet.intact:
             self._broadcast(packet, hearing, now_s)
 
-    def _answer_protocol_1(self, data: bytes, now_s: float) -> None:
-        """Let servos in Protocol 1.0 answer a ping in it; they carry out nothing else here."""
-        for servo in self.servos:
-            body = bytes((servo.servo_id, 2, Instruction.PING))
-            if data == _protocol_1(body) and self._listens(servo, now_s, old=True):
-                self._reply(servo, _protocol_1(body[:2] + b"\x00"), now_s)
-
-    def _listens(self, servo: SimulatedServo, now_s: float, *, old: bool = False) -> bool:
-        """Return whether a servo takes a packet of Protocol 2.0, or of the old 1.0."""
+    def _listens(self, servo: SimulatedServo, now_s: float) -> bool:
+        """Return whether a servo takes a packet of Protocol 2.0."""
         silent = self.faults.silent
         return (
-            (servo.registers.data[PROTOCOL_TYPE.address] == 1) is old
+            servo.registers.data[PROTOCOL_TYPE.address] != 1
             and servo.baudrate == self.baudrate
             and now_s >= servo.silent_until_s
             and not (silent and servo.made_as in silent)
@@ -254,11 +244,6 @@ def _at_once(packets: Sequence[bytes]) -> bytes:
     longest = max(map(len, packets))
     padded = (int.from_bytes(packet.ljust(longest, b"\xff")) for packet in packets)
     return functools.reduce(operator.and_, padded).to_bytes(longest)
-
-
-def _protocol_1(body: bytes) -> bytes:
-    """Return a packet of Protocol 1.0: header, body, checksum (e-Manual, "Protocol 1.0")."""
-    return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
 
 
 def _entries(instruction: int, parameters: bytes) -> list[tuple[int, int, int, bytes]]:

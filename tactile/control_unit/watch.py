@@ -24,24 +24,12 @@ _STATE_BITS = 0x7F
 """Bits of the state in a heartbeat; the top bit is reserved."""
 
 _EMERGENCY_TEXTS = {
-    0x0000: "no error",
     0xFF01: "a burst was cut short, it does not fit into the synchronous window",
     0xFF02: "a SYNC came while the burst before it was still being sent",
     0xFF03: "converter self-test failed",
     0xFF04: "multiplexer self-test failed",
-    0x8110: "CAN overrun, messages lost",
-    0x8120: "CAN error-passive",
-    0x8130: "heartbeat or life guard error",
-    0x8140: "recovered from bus-off",
-    0x8150: "CAN identifier collision",
-    0x8210: "PDO not processed, too short",
-    0x8220: "PDO too long",
-    0x8230: "MPDO not processed, its destination object is missing",
-    0x8240: "unexpected SYNC length",
-    0x8250: "RPDO time-out",
 }
-"""Emergency codes with one meaning: FF01h to FF04h of the unit, and those of CiA 301, 7.2.7.1, that
-canopen has only as groups."""
+"""The unit's own emergency codes; canopen has the groups of CiA 301, 7.2.7.1."""
 
 _EMERGENCY_CODE_BYTES = 2
 """Length of the code at the start of an emergency message (CiA 301, 7.2.7)."""

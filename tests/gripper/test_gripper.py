@@ -220,7 +220,7 @@ SERVO = ServoSettings(servo_id=1)
             r"1 \(RH-P12-RN\(A\)\) makes at most 1\.984 A",
         ),
         (SERVO, {"model": "XL430-W250"}, "no Goal Current"),
-        (SERVO, {"model": "xm430-w35O"}, r"not known: did you mean XM430-W350\?"),
+        (SERVO, {"model": "xm430-w35O"}, "not known: use one of XM430-W350"),
         (SERVO, {"model": "servo"}, "'servo' is not known: use one of XM430-W350, "),
         (SERVO, {"direction": 0}, "direction"),
         (SERVO, {"servo_id": 253}, "servo_id"),

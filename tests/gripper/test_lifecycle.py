@@ -348,11 +348,6 @@ def test_a_second_id_that_no_servo_listens_to_is_none(cell, raw: int) -> None:
     assert cell.gripper.start().ok
 
 
-def in_protocol_1(cell, servo_id: int) -> None:
-    cell.servos[1].registers.put("protocol_type", 1)
-    cell.servos[1].registers.data[7] = servo_id
-
-
 def echo_alone(cell) -> None:
     """The host receives what it sends, and nothing else."""
     cell.device.faults.echo = True
@@ -364,8 +359,6 @@ def echo_alone(cell) -> None:
     [
         (lambda cell: setattr(cell.device, "baudrate", 57600), r"gripper\.baud_rate and gri"),
         (echo_alone, r"gripper\.baud_rate and gri"),
-        (lambda cell: in_protocol_1(cell, 1), r"1\.0 come from servo 1: .*\(register 13\) to 2"),
-        (lambda cell: in_protocol_1(cell, 2), r"1\.0 come from servo 2: .*\(register 13\) to 2"),
     ],
 )
 def test_what_does_not_answer_gets_a_hint(cell, change, hint: str) -> None:

@@ -143,14 +143,6 @@ def test_the_bench_of_a_servo_stays_in_the_config_while_it_is_the_same_servo(tmp
     assert [servo.measured for servo in bench.gripper().servos] == [str(file), ""]
 
 
-@pytest.mark.parametrize("rate", [1, 3])
-def test_servos_in_protocol_1_are_named_with_the_register(stand, rate: int) -> None:
-    for servo in stand.cell.devices.servo_bus.servos:
-        servo.registers.put("protocol_type", 1)
-        servo.registers.put("baud_rate", rate)
-    stand.ends(FAIL, SERVOS, "Protocol 1.0 come from servo 1, 2")
-
-
 def test_a_second_servo_that_is_not_there_after_all_is_not_waited_for(new) -> None:
     stand = new.run(SERVOS, servos__connect_next="none")
     assert [servo["id"] for servo in stand.settings["gripper.servos"]] == [1]

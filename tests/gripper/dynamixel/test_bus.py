@@ -1,6 +1,5 @@
 """Exact exchanges: everything that is asked for and answered, byte by byte."""
 
-import threading
 from typing import Any
 
 import pytest
@@ -236,26 +235,6 @@ def test_a_closed_bus_is_lost(script, bus) -> None:
     assert script.closed
     with pytest.raises(PortLost, match="closed"):
         bus.ping(1)
-
-
-def test_another_threads_transaction_is_waited_for_only_so_long(script, bus, monkeypatch) -> None:
-    monkeypatch.setattr("gripper.dynamixel.bus._LOCK_TIMEOUT_S", 0.01)
-    entered, leave = threading.Event(), threading.Event()
-
-    def occupy() -> None:
-        with bus.exclusive():
-            entered.set()
-            leave.wait(5.0)
-
-    thread = threading.Thread(target=occupy)
-    thread.start()
-    entered.wait(5.0)
-    with pytest.raises(BusBusy):
-        bus.ping(1)
-    leave.set()
-    thread.join()
-    script.expect(PING_1, PONG_1)
-    assert bus.ping(1).firmware == 38
 
 
 def test_an_answer_that_came_while_the_program_stood_still_is_taken(
