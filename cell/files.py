@@ -323,7 +323,9 @@ SERVO_BENCH = Format(
     "measure the servo again: `tactile-cell hand bench`",
 )
 SELF_ZERO = Format(
-    "self-zero", "tactile-cell-self-zero/2", "`tactile-cell hand zero` measures it anew"
+    "self-zero",
+    "tactile-cell-self-zero/2",
+    "`tactile-cell hand zero`, or the task `zero` of a service, measures it anew",
 )
 ARCHIVE = Format(
     "archive", "tactile-cell-archive/3", "archive the recordings again, to a new place"

@@ -236,11 +236,11 @@ def test_the_watchdog_is_fed_only_while_the_cell_works(notify) -> None:
     assert received(link) == ["READY=1", "STATUS=IDLE"]
     manager.report("IDLE", working=True)
     manager.report("IDLE", working=True)  # at once: the watchdog needs no more
-    manager.report("ABORTED, a part is held, fault 506", working=True)
+    manager.report("ABORTED, a part may be held, fault 506", working=True)
     manager.stopping()
     assert received(link) == [
         "WATCHDOG=1",
-        "STATUS=ABORTED, a part is held, fault 506",
+        "STATUS=ABORTED, a part may be held, fault 506",
         "STOPPING=1",
     ]
 

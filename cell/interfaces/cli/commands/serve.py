@@ -238,7 +238,7 @@ def report_until(over: threading.Event, service: Service, manager: ServiceManage
 def _status_line(service: Service) -> str:
     """Return state, grip and fault of the cell as one line."""
     status = service.plugin.status()
-    held = ", a part is held" if status.holding else ""
+    held = ", a part may be held" if status.holding else ""
     return f"{status.state}{held}" + (f", fault {status.fault_number}" if status.fault else "")
 
 
