@@ -335,10 +335,7 @@ def require_current_control(name: str) -> ServoModel:
             f"{name} measures load, not current: it has no Goal Current and no current-based "
             f"position mode, so its grip force cannot be bounded. Use one of {', '.join(MODELS)}"
         )
-    upper = {one.upper(): one for one in MODELS}
-    near = get_close_matches(name.upper(), upper, n=1)
-    meant = f"did you mean {upper[near[0]]}? " if near else ""
-    raise LimitExceeded(f"servo model {name!r} is not known: {meant}use one of {', '.join(MODELS)}")
+    raise LimitExceeded(f"servo model {name!r} is not known: use one of {', '.join(MODELS)}")
 
 
 _OTHER_MODELS = {

@@ -218,7 +218,7 @@ def heat_note(force_n: float, mechanics: Mechanics) -> str:
             least_s = lasts_s
             note = (
                 f"a grip of {force_n:g} N takes {current_a:.2f} A, and {model.name} bears "
-                f"{model.holding_a:.2f} A for hours: after {lasts_s:.0f} s at most its current is "
+                f"{model.holding_a:.2f} A for hours: after {lasts_s:.1f} s at most its current is "
                 f"lowered to that, and the part is held with less force, unless the servo's own "
                 f"protection drops it. Ask for less force, take a shorter lever or a stronger servo"
             )

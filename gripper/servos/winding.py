@@ -4,13 +4,13 @@ The 330 size measures and limits the current of the supply: duty times winding c
 0 A a count of it is many counts of the winding's current. So the winding's comes from the duty:
 (duty V - k_e w) / R. Present Current over the duty is a second measurement.
 
-The register of the temperature lags by minutes, so the heat is I²t: the mean square of the current
-over the winding's time constant. It may exceed that of the current which the model holds for hours,
-by what 2 s at its peak current add.
+The register of the temperature lags by minutes, so the heat is I²t: the square of the current above
+that of hours, over time. A second at the model's peak current is allowed, and no current between
+both for longer: servos switch their torque off after some seconds, and the part drops.
 """
 
 from collections import deque
-from math import copysign, exp, inf, log
+from math import copysign, exp, inf
 from statistics import median
 
 from gripper.dynamixel.models import ServoModel
@@ -20,10 +20,12 @@ _LEAST_READINGS, _MOST_READINGS = 20, 40
 V while a servo holds (logs of Rhoban/bam, revision af22604)."""
 _LEAST_DUTY = 0.2
 """Duty below which Present Current over the duty is too inexact."""
-_WINDING_S = 30.0
-"""Time constant in s of the winding: 30 to 60 s, until it is measured. [assumed]"""
-_PEAK_S = 2.0
-"""Time in s for which `ServoModel.peak_a` is allowed at any time."""
+_PEAK_S = 1.0
+"""Longest time in s above the current for hours. The rule by which servos trip is unpublished; the
+shortest times that users report are some seconds."""
+_COOL_SHARE = 0.5
+"""Share of the current for hours below which a winding counts as cooling: else the force of a held
+part would swing. [chosen]"""
 LOWERING_S = 0.5
 """Time constant in s with which a hot winding's current falls, so that no part is thrown. [chosen]
 """
@@ -75,13 +77,12 @@ class WindingHeat:
     """Heat of the winding of one servo, and the current that it allows.
 
     Once the heat is reached, the current falls to the holding current. It stays there until the
-    winding is as cool as in a hold of hours.
+    winding has cooled and little current is asked.
     """
 
     def __init__(self, model: ServoModel) -> None:
         self._model = model
-        self._square_a2 = 0.0
-        self._most_a2 = model.holding_a**2 + _peak_a2(model)
+        self._heat_s = 0.0
         self.hot = False
         """Whether only the holding current is allowed."""
         self.limit_a = model.stall_current_a
@@ -92,26 +93,28 @@ class WindingHeat:
         """Add a measured current in A at a monotonic time in s; it lasts until the next one."""
         if self._last is not None:
             dt_s, last_a = now_s - self._last[0], self._last[1]
-            self._square_a2 += -(last_a**2 - self._square_a2) * (exp(-dt_s / _WINDING_S) - 1.0)
+            heat_s = self._heat_s + dt_s * _heating(self._model, last_a)
+            self._heat_s = min(max(0.0, heat_s), _PEAK_S)
             if self.hot:
                 above_a = self.limit_a - self._model.holding_a
                 self.limit_a -= above_a * (1.0 - exp(-dt_s / LOWERING_S))
         self._last = now_s, current_a
-        if self._square_a2 >= self._most_a2 and not self.hot:
+        if self._heat_s == _PEAK_S and not self.hot:
             self.hot, self.limit_a = True, max(abs(current_a), self._model.holding_a)
-        elif self._square_a2 < self._model.holding_a**2:
+        elif not self._heat_s:
             self.hot, self.limit_a = False, self._model.stall_current_a
 
 
 def longest_s(model: ServoModel, current_a: float) -> float:
     """Return the time in s for which a servo without heat may have a current in A."""
-    most_a2 = model.holding_a**2 + _peak_a2(model)
-    if current_a <= model.holding_a:
-        return inf
-    # A current just above the holding current ends as if it were a little higher.
-    square_a2 = max(current_a**2, 1.001 * most_a2)
-    return _WINDING_S * log(square_a2 / (square_a2 - most_a2))
+    heating = _heating(model, current_a)
+    return _PEAK_S / heating if heating > 0.0 else inf
 
 
-def _peak_a2(model: ServoModel) -> float:
-    return (model.peak_a**2 - model.holding_a**2) * (1.0 - exp(-_PEAK_S / _WINDING_S))
+def _heating(model: ServoModel, current_a: float) -> float:
+    """Return what a current in A adds to the heat in 1 s: 1 s or more, none, or less than none."""
+    hours_a2, square_a2 = model.holding_a**2, current_a**2
+    heating = (square_a2 - hours_a2) / (model.peak_a**2 - hours_a2)
+    if heating > 0.0:
+        return max(1.0, heating)
+    return heating if square_a2 < _COOL_SHARE**2 * hours_a2 else 0.0

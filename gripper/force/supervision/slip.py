@@ -192,9 +192,12 @@ class LevelSlip:
         self._watch = SlipWatch(settings)
 
     def check(self, moment: Moment, level: int | None, *, setpoint_n: float) -> None:
-        """Add one period at a level, or between levels; raises PartSlipped when the part slips."""
-        moves_n = abs(setpoint_n - self._setpoint_n)
-        if level != self._level or moves_n > self._settings.settle_tolerance_at_n(setpoint_n):
+        """Add one period at a level, or between levels; raises PartSlipped when the part slips.
+
+        While a hot winding lowers the set-point, a force that falls is no slip.
+        """
+        tolerance_n = self._settings.settle_tolerance_at_n(setpoint_n)
+        if level != self._level or abs(setpoint_n - self._setpoint_n) > 0.1 * tolerance_n:
             self._level, self._setpoint_n = level, setpoint_n
             self._watch = SlipWatch(self._settings)
         if level is None:
