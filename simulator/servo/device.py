@@ -223,7 +223,7 @@ class SimulatedServo:
             abs(velocity_raw) > threshold,
             status,
             round(sign * plant.duty * model.whole_pwm_raw),
-            round(sign * plant.measured_a() / model.current_unit_a),
+            plant.velocity_register.to_raw(sign * plant.measured_a() / model.current_unit_a),
             velocity_raw,
             position_raw + self.reported_offset_raw,
             round(sign * plant.reference_velocity_rad_s / model.velocity_unit_rad_s),

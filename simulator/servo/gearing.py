@@ -216,14 +216,14 @@ def _x330(torque: float, back_emf_v_s: float, winding_ohm: float, inertia_kg_m2:
     """Return the spread of a 330 size with ``torque`` times the torques of an XL330-M288."""
     return Spread(
         typical=Drive(
-            kt_nm_a=torque * 0.365,
+            kt_nm_a=torque * 0.42,
             back_emf_v_s=back_emf_v_s,
             friction=Friction(
-                base_nm=torque * 0.01,
-                drive=0.37,
-                load=0.06,
-                load_quadratic_per_nm=0.3 / torque,
-                viscous_nm_s=torque * 0.005,
+                base_nm=torque * 0.008,
+                drive=0.35,
+                load=0.05,
+                load_quadratic_per_nm=1.2 / torque,
+                viscous_nm_s=torque * 0.01,
             ),
             inertia_kg_m2=inertia_kg_m2,
             winding_ohm=winding_ohm,
@@ -239,7 +239,8 @@ _SPREADS = {
     "XM430-W350": _xm430(1.80, 2.42, 0.0045),
     # Torque by the ratio of the data sheets, inertia by the square of the gears' ratio.
     "XM430-W210": _xm430(1.317, 1.45, 0.0016),
-    # Speed at full duty 0.43 to 0.45 V s/rad; 13 to 17 V for each N.m of a rise.
+    # Speed at full duty 0.43 to 0.45 V s/rad; 15 to 17 V for each N.m of a rise, more at a larger
+    # torque. The logs of one servo have 11 to 13 V below 0.1 N.m.
     "XL330-M288": _x330(1.0, 0.44, 3.40, 0.0022),
     "XC330-M288": _x330(1.46, 0.56, 2.78, 0.0035),
 }

@@ -791,7 +791,7 @@ def test_a_sample_is_as_old_as_it_says(make_bench, name: str) -> None:
             samples[cycle.force.measured_s] = cycle.force.grip_n
 
     bench.controller.start()
-    for _ in range(3):
+    for _ in range(8):
         bench.simulated.place("ball")
         hand.grasp(ForceRamp.linear(6.0, 20.0), see)
         hand.release(see)

@@ -420,7 +420,7 @@ GRIP = (
           (28, "part lost", "object.gone", "HOLD", 0.08, 205),
           (28, "part slips", "object.slips=20", "HOLD", 0.2, 206))),
     # Something trapped pushes the force above its cap in a hold; time counts from the cap.
-    FaultRow(29, "too much force", "object.trapped=5@contact+0.8s", "HOLD", LOWER_S, 0,
+    FaultRow(29, "too much force", "object.trapped=5@contact+1s", "HOLD", LOWER_S, 0,
              campaign.something_pushes,
              LONG_HOLD | {"sequence.force_n": [2.0, 4.0], "gripper.force_max_n": campaign.CAP_N}),
     # A config asks for an approach whose impact is far above the cap; it is slowed down.

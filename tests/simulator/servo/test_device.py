@@ -436,7 +436,7 @@ def test_a_trip_holds_the_present_position(pressing):
 
 
 @pytest.mark.parametrize(
-    ("stop", "current"), [(WatchdogStop.ZERO_CURRENT, 0), (WatchdogStop.KEEPS_TURNING, -100)]
+    ("stop", "current"), [(WatchdogStop.ZERO_CURRENT, 0), (WatchdogStop.KEEPS_TURNING, -99)]
 )
 def test_a_trip_can_leave_the_motor_without_current_or_turning(closing, stop, current):
     pressing = closing(stop)
