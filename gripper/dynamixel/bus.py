@@ -503,8 +503,8 @@ class ServoBus:
         if failure.damaged:
             received = f" ({self._heard})" if self._heard else ""
             error: BusTimeout | BusCorrupt = BusCorrupt(
-                f"{request.action}: the answers of servo {request.servo_id} arrive damaged, twice "
-                f"in a row{received}: check cable, termination and that no two servos share the ID"
+                f"{request.action}: the answers of servo {request.servo_id} arrive "
+                f"damaged{received}: check cable, termination and that no two servos share the ID"
             )
         elif pinged:
             error = AnswersOff(
@@ -514,8 +514,8 @@ class ServoBus:
             )
         else:
             error = BusTimeout(
-                f"{request.action}: no answer of servo {request.servo_id}, twice in a row: check "
-                f"its supply, cable, ID and baud rate"
+                f"{request.action}: no answer of servo {request.servo_id}: check its supply, "
+                f"cable, ID and baud rate"
             )
         self._last_error = error
         return error

@@ -332,9 +332,7 @@ class TactileSensor:
         while not (arrived := poll()):
             left_s = deadline_s - self._clock.monotonic()
             if left_s <= 0.0:
-                raise FrameTimeout(
-                    f"{failure}: check that the control unit is powered and that SYNC is running"
-                )
+                raise FrameTimeout(f"{failure}: check supply and line of the sensor")
             self._clock.sleep(min(left_s, _POLL_S))
         return arrived
 

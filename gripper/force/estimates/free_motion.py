@@ -33,8 +33,6 @@ _SAME_SPEED = 1.3
 """Ratio of speeds below which they are one point: the newest motion counts. [chosen]"""
 _FEW_POINTS, _MOST_POINTS = 4, 16
 """Fewest points for the friction at all speeds, and number of newest points kept. [chosen]"""
-_COLD_K = 8.0
-"""Fall of the temperature in K that makes grease stiff. [assumed]"""
 _WORN = 5.0
 """Ratio of the friction to the catalogue's above which a servo is not sound. A servo without a
 load may have a tenth of the catalogue's, as an XL330's gearing (arXiv 2410.08650). [assumed]"""
@@ -141,7 +139,7 @@ class FreeMotion:
         few = not prior.measured and 0 < len(points) < _FEW_POINTS and not earlier
         ratio = 1.0 if few else change(point, drive)
         if ratio != 1.0:
-            self._note(servo, drive, ratio)
+            self._note(servo_id, ratio)
             points.clear()
             earlier.clear()
             self._priors[servo_id] = prior = drive.distrusted
@@ -164,25 +162,17 @@ class FreeMotion:
             raise ServoFault(
                 servo_id,
                 f"its free motion takes {fitted.breakaway_a:.3f} A, {usual_a:.3f} A are usual for "
-                f"a {model.name}: {_cause(_WORN, 0.0)}. Free the finger, or change "
+                f"a {model.name}: a cable drags, or it is worn. Free the finger, or change "
                 f"the servo; then clear the fault, release and start",
             )
 
-    def _note(self, servo: ServoState, drive: DriveCharacteristic, ratio: float) -> None:
-        warmer_k = servo.temperature_c - (drive.temperature_c or servo.temperature_c)
+    def _note(self, servo_id: int, ratio: float) -> None:
+        slack = "its horn or linkage is loose, or its grease is warm"
+        cause = "a cable drags, or it is worn or cold" if ratio > 1.0 else slack
         self.notes.append(
-            f"servo {servo.servo_id}: its free motion takes {ratio:.2f} times the current of "
-            f"before: {_cause(ratio, warmer_k)}. It is measured anew; `tactile-cell hand zero` "
-            f"measures the rest"
+            f"servo {servo_id}: its free motion takes {ratio:.2f} times the current of before: "
+            f"{cause}. It is measured anew; `tactile-cell hand zero` measures the rest"
         )
-
-
-def _cause(ratio: float, warmer_k: float) -> str:
-    if ratio > 1.0:
-        return "its grease is cold" if warmer_k < -_COLD_K else "a cable drags, or it is worn"
-    return (
-        "its grease is warm" if warmer_k > _COLD_K else "its horn or linkage is loose, or changed"
-    )
 
 
 def _alike(one: FreePoint, other: FreePoint) -> bool:

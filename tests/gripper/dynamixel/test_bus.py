@@ -134,7 +134,7 @@ def time_out(script, bus, *answers) -> None:
     """Read in the loop without an answer in time, and without one to the ping."""
     script.expect(READ_132, *answers)
     script.expect(PING_1)
-    with bus.in_loop(), pytest.raises(BusTimeout, match="no answer of servo 1, twice"):
+    with bus.in_loop(), pytest.raises(BusTimeout, match="no answer of servo 1: check"):
         bus.read(1, PRESENT_POSITION)
 
 
