@@ -18,7 +18,13 @@ from gripper.dynamixel.models import OperatingMode, ServoModel
 from gripper.values.servo_checks import HardwareError
 from simulator.servo.control_table import Item, ServoRegisters, is_x330
 from simulator.servo.gearing import data_sheet
-from simulator.servo.motor import FOLLOWS_POSITION, OVERLOAD_BUDGET_S, DriveCommand, ServoMotor
+from simulator.servo.motor import (
+    FOLLOWS_POSITION,
+    OVERLOAD_BUDGET_S,
+    DriveCommand,
+    ServoMotor,
+    whole_counts,
+)
 from simulator.servo.protocol2 import ALERT, Instruction, StatusError
 
 BAUD_RATES = (
@@ -124,6 +130,7 @@ class SimulatedServo:
         self.registers = ServoRegisters(model, {**(settings or {}), "id": servo_id})
         self.plant = plant
         self.model = model
+        self._to_raw = whole_counts(model)
         self.watchdog_stop = WatchdogStop.HOLD
         """Effect of a tripped bus watchdog on the motor."""
         self.injected_error = 0
@@ -223,7 +230,7 @@ class SimulatedServo:
             abs(velocity_raw) > threshold,
             status,
             round(sign * plant.duty * model.whole_pwm_raw),
-            plant.velocity_register.to_raw(sign * plant.measured_a() / model.current_unit_a),
+            self._to_raw(sign * plant.measured_a() / model.current_unit_a),
             velocity_raw,
             position_raw + self.reported_offset_raw,
             round(sign * plant.reference_velocity_rad_s / model.velocity_unit_rad_s),

@@ -21,6 +21,7 @@ import itertools
 import math
 import random
 from collections import deque
+from collections.abc import Callable
 from enum import Enum
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -98,6 +99,14 @@ _SUPPLY_SD = 0.8
 duty d: 0.55 to 0.8 V of 7.3 V at a duty of 0.34 to 0.8, and nearly none at 0 and 1."""
 
 
+def whole_counts(model: ServoModel) -> Callable[[float], int]:
+    """Return what makes whole counts of Present Velocity and Present Current, as logs show it.
+
+    The 330 size rounds, an X430 cuts the fraction off.
+    """
+    return round if is_x330(model) else math.trunc
+
+
 class VelocityRegister:
     """Velocity by the positions of the last moments, as the firmware of a model computes it."""
 
@@ -105,8 +114,7 @@ class VelocityRegister:
         x330 = is_x330(model)
         self._window_s = _WINDOW_X330_S if x330 else _WINDOW_S
         self._low_pass_s = _LOW_PASS_X330_S if x330 else _LOW_PASS_S
-        self.to_raw = round if x330 else math.trunc
-        """Makes whole counts, also of Present Current: logs of an X430 show them cut off."""
+        self._to_raw = whole_counts(model)
         self._rad_per_pulse, self._unit_rad_s = model.rad_per_pulse, model.velocity_unit_rad_s
         self._time_s = 0.0
         self._count = count
@@ -119,7 +127,7 @@ class VelocityRegister:
     @property
     def raw(self) -> int:
         """Content of the register."""
-        return self.to_raw(self._velocity_rad_s / self._unit_rad_s)
+        return self._to_raw(self._velocity_rad_s / self._unit_rad_s)
 
     def step(self, count: int, dt_s: float) -> None:
         """Take the count of the encoder ``dt_s`` s after the count before."""
@@ -246,6 +254,8 @@ class ServoMotor:
         self._cold_ohm = self._resistance_ohm = drive.winding_ohm
         self._stall_a = data_sheet(model).stall_current_a
         self._of_supply = is_x330(model)
+        share = _OVERLOAD_BLOCKED_330 if self._of_supply else _OVERLOAD_BLOCKED
+        self._blocked_a = share * self._stall_a
         self._p_divisor = _P_DIVISOR_X330 if self._of_supply else _P_DIVISOR
         self._heat = RISE_AT_FIFTH_OF_STALL_C / (0.2 * self._stall_a) ** 2
         self._alpha_dt_s = self._alpha = 0.0
@@ -439,8 +449,7 @@ class ServoMotor:
             over = measured_a / self._stall_a - _OVERLOAD_CURRENT
         else:
             follows = self.command.mode in FOLLOWS_POSITION
-            share = _OVERLOAD_BLOCKED_330 if self._of_supply else _OVERLOAD_BLOCKED
-            loaded = current_a > share * self._stall_a
+            loaded = current_a > self._blocked_a
             blocked = follows and loaded and abs(self._error) > _OVERLOAD_PULSES
             over = OVERLOAD_BUDGET_S / _BLOCKED_S if blocked else -OVERLOAD_DUTY
         excess_s = self.load_excess_s + over * dt_s
