@@ -417,7 +417,7 @@ class Zeroing:
             self._note_each_drive()
             self.missed = (
                 f"no self-zero today, answers allow for any drift: {error}. The fingers are open. "
-                f"Take everything out of the grip, then start the task `zero`, without a service "
+                f"Take everything out of the grip, then run the task `zero`, or without a service "
                 f"`tactile-cell hand zero`; with `self_zero: on_demand` no start closes the fingers"
             )
             self.journal.note("note", self.missed)

@@ -39,7 +39,7 @@ def check_friction(cell: Any, rel: float = 0.1) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("friction", [(0.5, 0.5), (3.0, 1.0), LONG((2.0, 2.0)), LONG((1.0, 0.5))])
+@pytest.mark.parametrize("friction", [(0.5, 0.5), (3.0, 1.0), LONG((3.0, 2.0)), LONG((1.0, 0.5))])
 def test_a_gripper_that_never_measured_finds_the_friction_of_each_servo(
     make_started, friction
 ) -> None:
@@ -47,15 +47,15 @@ def test_a_gripper_that_never_measured_finds_the_friction_of_each_servo(
     for motor, factor in zip(cell.motors, friction, strict=True):
         motor.friction_factor *= factor
     cell.gripper.open()
-    assert cell.gripper.grasp(RAMP).result in PRESSED
-    # The law leaves half of a push: with much friction that is 0.7 N.
-    assert cell.force_n == pytest.approx(6.0, abs=0.8)
+    assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
+    assert cell.force_n == pytest.approx(6.0, abs=0.6)
     assert cell.peak_n < cell.settings.force_max_n
     assert all(drive.measured for drive in drives(cell))
     check_friction(cell)
     cell.gripper.release()
     # From now on it is known: the second approach takes no longer than another gripper's.
     began_s = cell.clock.monotonic()
+    # The law leaves half of a push: with three times the friction that is 0.7 N.
     assert cell.gripper.grasp(RAMP).final_force_n == pytest.approx(6.0, abs=0.8)
     assert cell.clock.monotonic() - began_s < 3.0
 
