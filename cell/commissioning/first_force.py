@@ -311,11 +311,8 @@ class _Trial:
         )
         if outcome.result is GraspResult.FORCE_NOT_REACHED:
             self.notes.warn(
-                "The part is too small or too soft for that force: the fingers closed to "
-                "gripper.aperture_min_mm. Take a thicker part, or ask for less."
-                if outcome.short
-                else "That force was not reached: raise gripper.current_max_a if servos and "
-                "parts allow it, or ask for less."
+                f"{outcome.unreached}. If servos and parts allow more current, raise "
+                "gripper.current_max_a; else take a thicker part, or ask for less."
             )
         elif abs(held_n - asked_n) > max(_WRONG_N, _WRONG_SHARE * asked_n):
             self.notes.warn(

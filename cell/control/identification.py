@@ -224,7 +224,7 @@ class Judge:
         posterior = record.early or self.recognizer.posterior(record.grasp)
         try:
             # Closed fingers press a small part deeper than the fit can follow.
-            read = None if record.outcome.short else self.read_shape
+            read = None if record.outcome.unreached else self.read_shape
             shape = None if read is None else read(record.grasp)
         except Exception as error:
             return posterior, None, error

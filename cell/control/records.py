@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.control.plan import GraspStep, Pose
-from gripper.values.outcome import GraspOutcome, GraspResult
+from gripper.values.outcome import GraspOutcome
 from gripper.values.state import Cycle, TimeSpan
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 from recognition.recognizer import Posterior
@@ -44,12 +44,9 @@ class GraspRecord:
     @property
     def ended(self) -> str:
         """Where the ramp ended early, or with another force than asked for, as text; else empty."""
-        outcome, asked_n = self.outcome, self.cycles[-1].setpoint_n
         if self.early is not None:
-            return f"ended early at {asked_n:.1f} N"
-        if outcome.short or outcome.result is not GraspResult.FORCE_NOT_REACHED:
-            return outcome.short
-        return f"ended with {outcome.final_force_n:.1f} N, the ramp asked for {asked_n:.1f} N"
+            return f"ended early at {self.cycles[-1].setpoint_n:.1f} N"
+        return self.outcome.unreached
 
     def ramp_as_json(self) -> dict[str, Any]:
         """Return how the ramp ended, as plain data."""

@@ -157,7 +157,7 @@ def teach_objects(
 
     Call `TactileCellPlugin.train` next. Raises as `TactileCellPlugin.run`.
     """
-    missed, short = list[str](), list[str]()
+    missed, unreached = list[str](), list[str]()
     for number, label in enumerate(labels):
         values: dict[str, Any] = {}
 
@@ -170,9 +170,9 @@ def teach_objects(
         plugin.run(goal, on_progress=on_progress)
         if values["missed"]:
             missed.append(f"{label}: {values['missed']} grasps found no part")
-        if values["short"]:
-            short.append(f"{label}: {values['short']}")
-    return missed + short
+        if values["unreached"]:
+            unreached.append(f"{label}: {values['unreached']}")
+    return missed + unreached
 
 
 def _seed(config: CellConfig, use: int, number: int) -> int:

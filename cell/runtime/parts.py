@@ -63,7 +63,7 @@ class PartLog:
         before_s, self._since_s = self._since_s, self.controller.clock.monotonic()
         fields: dict[str, Any] = {}
         if identification is not None:
-            shorts = (record.outcome.short for record in identification.records)
+            unreached = (record.outcome.unreached for record in identification.records)
             self._n_parts += 1
             fields = fate | {
                 "number": self._n_parts,
@@ -74,7 +74,7 @@ class PartLog:
                 "n_ended_early": identification.n_ended_early,
                 "shape": identification.shape,
                 "drift": identification.drift,
-                "remark": remark or next(filter(None, shorts), ""),
+                "remark": remark or next(filter(None, unreached), ""),
             }
         part = Part(
             job=self._job[0],

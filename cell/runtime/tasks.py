@@ -218,10 +218,14 @@ class Collection:
         return [record.grasp for record in self.records]
 
     @property
-    def short(self) -> str:
-        """Number of ramps that ended below their force, and why the last one did; or empty."""
-        texts = [record.outcome.short for record in self.records if record.outcome.short]
-        return f"{len(texts)} of {self.n_planned} ramps ended early: {texts[-1]}" if texts else ""
+    def unreached(self) -> str:
+        """Number of ramps that ended with another force, and the last of them; or empty."""
+        texts = [text for record in self.records if (text := record.outcome.unreached)]
+        return (
+            f"{len(texts)} of {self.n_planned} ramps missed their force: {texts[-1]}"
+            if texts
+            else ""
+        )
 
     @one_blas_thread()
     def fill(
@@ -341,7 +345,7 @@ class Tasks:
         def progress(now: Collection) -> None:
             if getattr(goal, "train", False) and len(now.records) > values["grasps"]:
                 each.append(_grasp_values(now.records[-1], self.model))
-            values.update(grasps=len(now.records), missed=now.n_missed, short=now.short)
+            values.update(grasps=len(now.records), missed=now.n_missed, unreached=now.unreached)
             values["each"] = list(each)
             report(dict(values))
 
@@ -384,7 +388,7 @@ class Tasks:
                     "force_n": record.step.force_n,
                     "shape": None if shape is None else str(shape),
                     "ended_early": record.early is not None,
-                    "short": record.outcome.short,
+                    "unreached": record.outcome.unreached,
                 },
                 part=Part(job=report.number, label=answer.name, n_grasps=number),
             )
@@ -436,12 +440,12 @@ class Tasks:
         """
         controller, carry_n = self.controller, self.model.config.sequence.carry_force_n
         force_n = goal.force_n or carry_n
-        gripped = {"task": "grip", "force_n": force_n, "held_with_n": min(force_n, carry_n)}
+        gripped = {"task": "grip", "force_n": force_n, "carry_force_n": min(force_n, carry_n)}
         report(gripped)
         controller.moves.present(goal.present)
         record = controller.grip(force_n, None if goal.present is None else Pose())
         verification = self.verify(None, report)
-        report(gripped | {"short": record.outcome.short})
+        report(gripped | {"unreached": record.outcome.unreached})
         return verification
 
     def verify(self, _goal: VerifyGoal | None, report: Report) -> Verification:

@@ -324,8 +324,13 @@ class GripStep:
         requested_n, ended_n = self._time.requested_n, self._time.ramp.final_n
         reached = abs(final_n - requested_n) <= self._settings.settle_tolerance_at_n(requested_n)
         held = GraspResult.FORCE_REACHED if reached else GraspResult.FORCE_NOT_REACHED
-        closed = ended_n < requested_n and not (reached or self.lost)
-        short = _too_small(self._settings, requested_n, final_n, final.aperture_m) if closed else ""
+        unreached = ""
+        if not (reached or self.lost):
+            unreached = (
+                f"the ramp ended with {final_n:.1f} N, and {requested_n:.1f} N were asked for"
+            )
+            if ended_n < requested_n:
+                unreached += _too_small(self._settings, final.aperture_m)
         return GraspOutcome(
             result=GraspResult.PART_LOST if self.lost else held,
             contact_t_s=None if contact is None else contact.t_s,
@@ -334,7 +339,7 @@ class GripStep:
             final_force_n=final_n,
             overshoot_n=max(0.0, self._peak_n - ended_n),
             ended_early=self._ended,
-            short=short,
+            unreached=unreached,
         )
 
 
@@ -420,12 +425,11 @@ def _check_part(control: GripControl, moment: Moment) -> None:
         )
 
 
-def _too_small(settings: GripperSettings, most_n: float, force_n: float, aperture_m: float) -> str:
+def _too_small(settings: GripperSettings, aperture_m: float) -> str:
     return (
-        f"the part is too small or too soft for {most_n:.1f} N: the ramp ended at {force_n:.1f} N "
-        f"and an opening of {1e3 * aperture_m:.1f} mm (gripper.aperture_min_mm is "
-        f"{1e3 * settings.least_pressed_m:g}). Ask for less force, or lower that key as far as the "
-        f"foam of the pads yields"
+        f": the part is too small or too soft, at an opening of {1e3 * aperture_m:.1f} mm "
+        f"(gripper.aperture_min_mm is {1e3 * settings.least_pressed_m:g}). Ask for less force, or "
+        "lower that key as far as the foam of the pads yields"
     )
 
 

@@ -36,9 +36,9 @@ class GraspOutcome:
     ended_early: bool = False
     """Whether a request ended the ramp early: the force to reach is then the set-point at that
     time."""
-    short: str = ""
-    """Why the ramp ended below its force, as text, if the fingers reached their smallest opening
-    first: the part is too small or too soft, and held with less force. Else empty."""
+    unreached: str = ""
+    """The force of a part that is held with another force than asked for, as text, and its cause if
+    the fingers reached their smallest opening. Else empty."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

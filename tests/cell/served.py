@@ -150,7 +150,8 @@ CURVES = {
 }  # fmt: skip
 """Last grasp of each part."""
 GRASP = SimpleNamespace(
-    cycles=(SimpleNamespace(setpoint_n=5.0),), outcome=SimpleNamespace(final_force_n=4.9, short="")
+    cycles=(SimpleNamespace(setpoint_n=5.0),),
+    outcome=SimpleNamespace(final_force_n=4.9, unreached=""),
 )
 """Record of each grasp."""
 VERIFIED = Verification(held=True, same=True, force_n=GRIP_N, opening_m=9.5e-3)

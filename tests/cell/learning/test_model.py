@@ -361,7 +361,7 @@ class Follower:
 
 def record(grasp: Grasp, result: GraspResult = GraspResult.FORCE_REACHED, early: bool = False):
     outcome = SimpleNamespace(
-        result=result, ended_early=early, final_force_n=5.0, final_aperture_m=0.01, short=""
+        result=result, ended_early=early, final_force_n=5.0, final_aperture_m=0.01, unreached=""
     )
     return SimpleNamespace(grasp=grasp, outcome=outcome, early=None)
 

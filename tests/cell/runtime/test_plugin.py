@@ -79,7 +79,7 @@ def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(make_plugin: Any)
     each = progress.pop("each")
     assert [one["force_n"] > 1.0 and 5.0 < one["size_mm"] < 18.0 for one in each] == [True] * 2
     assert progress.pop("taught").items() >= {"label": "pin", "n_grasps": 3}.items()
-    expected = {"task": "teach", "label": "pin", "grasps": 2, "missed": 0, "of": 2, "short": ""}
+    expected = {"task": "teach", "label": "pin", "grasps": 2, "missed": 0, "of": 2, "unreached": ""}
     assert progress == expected
     assert plugin.labels == ("pin",)
 
@@ -548,7 +548,7 @@ def test_a_part_is_gripped_without_a_name_and_survives_the_end_of_the_host(make_
     assert (verification.held, verification.same, verification.reasons) == (True, True, ())
     assert verification.force_n == pytest.approx(4.0, abs=0.7)
     assert verification.opening_m == pytest.approx(9.0e-3, abs=0.5e-3)
-    assert plugin.feedback(job).progress["held_with_n"] == 4.0
+    assert plugin.feedback(job).progress["carry_force_n"] == 4.0
     plugin.cancel(job)  # changes nothing for a kept part
     plugin.cell.controller.life.cancel()
     plugin.cell.controller.life.tick()
@@ -562,7 +562,7 @@ def test_a_part_is_held_with_no_more_force_than_a_grip_asked_for(plugin: Any) ->
     for asked, held_n in (({}, 4.0), ({"force_n": 1.5}, 1.5)):
         job = plugin.start({"task": "grip", "present": "box"} | asked)
         assert plugin.result(job, LIMIT_S).force_n == pytest.approx(held_n, abs=0.5)
-        assert plugin.feedback(job).progress["held_with_n"] == held_n
+        assert plugin.feedback(job).progress["carry_force_n"] == held_n
         assert done(plugin, VerifyGoal()).same
         plugin.release()
     done(plugin, IdentifyGoal(present="box", keep="always", max_grasps=1))

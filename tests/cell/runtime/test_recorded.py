@@ -107,7 +107,7 @@ def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(taught, tmp
     goal = GaugeGoal(label="ball", grasps=len(balls))
 
     def gauge(drift: Drift) -> Drift:
-        outcome = SimpleNamespace(result=GraspResult.FORCE_REACHED, short="")
+        outcome = SimpleNamespace(result=GraspResult.FORCE_REACHED, unreached="")
         records = [SimpleNamespace(grasp=drift.apply(g), outcome=outcome) for g in balls]
         controller = Mock(grasp=Mock(side_effect=records))
         file: Any = tasks.ModelFile(model, path)

@@ -127,13 +127,15 @@ def test_a_part_that_yields_until_the_fingers_are_closed_is_held_with_what_it_be
     outcome = gripper.grasp(LINEAR)
     assert outcome.result is GraspResult.FORCE_NOT_REACHED
     assert not outcome.ended_early
-    assert re.match(r"the part is too small or too soft for 8\.0 N: .*min_mm is 0", outcome.short)
+    assert re.match(
+        r"the ramp ended with 3.* 8\.0 N were.*too small .*min_mm is 0", outcome.unreached
+    )
     assert outcome.final_force_n == pytest.approx(3.5, abs=0.7)
     assert gripper.phase is GripperPhase.HOLDING
     gripper.hold(2.0)
     gripper.hold_at(6.0, 1.0)
     gripper.hold_at(1.5)
-    assert gripper.squeeze(LINEAR).short
+    assert gripper.squeeze(LINEAR).unreached
     assert cell.force_n == pytest.approx(3.5, abs=1.0)
     assert cell.peak_n < 4.5
     gripper.release()
@@ -146,7 +148,7 @@ def test_a_smaller_opening_while_pressing_lets_a_small_part_sink_deeper(make_sta
         width_m=0.005, stiffness_n_m=6000.0, aperture_min_m=0.003, aperture_pressed_m=0.001
     )
     outcome = cell.gripper.grasp(ForceRamp.linear(8.0, 5.0, hold_s=1.0))
-    assert (outcome.result, outcome.short) == (GraspResult.FORCE_REACHED, "")
+    assert (outcome.result, outcome.unreached) == (GraspResult.FORCE_REACHED, "")
     assert outcome.final_aperture_m == pytest.approx(0.0023, abs=2e-4)
     cell.gripper.hold(1.0)
     cell.gripper.release()

@@ -136,8 +136,8 @@ def _teach_grasps(
                     f"{len(taken)} of {goal.grasps} grasps of {goal.label}{missed} added to "
                     f"{dataset} ({n_before} before)"
                 )
-                if taught["short"]:
-                    print_line(taught["short"])
+                if taught["unreached"]:
+                    print_line(taught["unreached"])
     values = {"label": goal.label, "n_grasps": taught["grasps"], "n_missed": taught["missed"]}
     cell.finish([f"recording: {cell.plugin.recording_path}"], values | {"dataset": dataset})
 

@@ -118,7 +118,7 @@ export function renderHeld({ state, info, taught, link }) {
 
   const checked = !runs(job) && job?.verification;
   const check = !checked ? "" : !checked.held ? "check.nothing" : checked.same === false ? "check.other" : "check.same";
-  const short = job?.task !== "teach" && job?.progress?.short ? t("held.short", { force: number(job.progress.force_n, 1) }) : "";
-  setText(byId("held_check"), check && (job.task === "verify" || !checked.held) ? t(check) : short);
+  const unreached = job?.task !== "teach" && job?.progress?.unreached ? t("held.unreached", { force: number(job.progress.force_n, 1) }) : "";
+  setText(byId("held_check"), check && (job.task === "verify" || !checked.held) ? t(check) : unreached);
   byId("held_check").classList.toggle("bad", check === "check.nothing" || check === "check.other");
 }
