@@ -154,7 +154,8 @@ def began_s(now_s: float, begins_h: Sequence[float]) -> float:
     now = datetime.fromtimestamp(now_s)
     midnight = now.replace(hour=0, minute=0, second=0, microsecond=0)
     begins = (midnight + timedelta(hours=hour - 24.0 * day) for hour in begins_h for day in (0, 1))
-    return max(begin for begin in begins if begin <= now).timestamp()
+    # On the day of a time change the wall clock repeats an hour or leaves one out.
+    return max(begin for at in begins if (begin := at.timestamp()) <= now_s)
 
 
 @dataclass(slots=True)
@@ -448,7 +449,8 @@ class History:
             if self._path is not None:
                 self._path.parent.mkdir(parents=True, exist_ok=True)
             self._link = _connected(":memory:" if self._path is None else str(self._path))
-            self._link.executescript(_TABLE)
+            if self._link.execute("PRAGMA user_version").fetchone() == (0,):
+                self._link.executescript(_TABLE)
         return self._link
 
     def _close_link(self) -> None:

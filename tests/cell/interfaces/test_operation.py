@@ -13,6 +13,7 @@ import threading
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from stat import S_IROTH
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import Mock
@@ -40,7 +41,8 @@ from cell.interfaces.cli.commands.service import (
     REMOVED,
     RULES_FILE,
     UNIT_FILE,
-    closed_to_others,
+    closed_to_service,
+    service_may,
     system_files,
 )
 from cell.interfaces.opening import open_interfaces
@@ -116,7 +118,9 @@ def test_systemd_verifies_the_unit(tmp_path) -> None:
         pytest.skip("systemd-analyze is not there; apt-get install systemd brings it")
     path = tmp_path / "tactile-cell.service"
     model = ("--model", "/srv/100% parts;$HOME.npz")
-    path.write_text(unit_of(small_config(**REAL), tmp_path / "a cell.yaml", *model))
+    own = {"recording__directory": "/srv/1 & 50%", "serve__http_port": 80}
+    path.write_text(text := unit_of(small_config(**REAL | own), tmp_path / "a cell.yaml", *model))
+    assert '\nReadWritePaths="-/srv/1 & 50%%"\nAmbientCapabilities=CAP_NET_BIND' in text
     done = subprocess.run(
         ["systemd-analyze", "verify", "--man=no", str(path)],
         capture_output=True, text=True, check=False,
@@ -135,7 +139,11 @@ def test_no_setting_of_the_unit_lets_the_grip_go() -> None:
     assert unit["StartLimitIntervalSec"] == "0"
 
 
-def test_the_unit_serves_the_config_and_brings_the_can_up(tmp_path) -> None:
+def test_the_unit_serves_the_config_and_brings_the_can_up(tmp_path, monkeypatch) -> None:
+    active = tmp_path / "current"  # a link to the active version stays one
+    active.symlink_to(Path(sys.executable).parent)
+    monkeypatch.setattr(sys, "argv", [str(active / "tactile-cell")])
+    assert read_unit(unit_of(small_config()))["ExecStart"].startswith(f"{active}/tactile-cell ")
     config = small_config(**REAL, recording__directory="/srv/recordings")
     text = unit_of(config, tmp_path / "cell.yaml", "--model", "/srv/100% parts;$HOME.npz")
     unit = read_unit(text)
@@ -157,18 +165,28 @@ def test_what_the_service_user_cannot_read_is_named(tmp_path, monkeypatch) -> No
     token = tmp_path / "token"
     token.write_text(32 * "t")
     token.chmod(0o600)
-    config.write_text(f"gripper: {{port: simulated}}\nserve: {{token_file: {token}}}")
+    config.write_text(
+        f"gripper: {{port: simulated}}\nserve: {{token_file: {token}, secret_file: no-secret}}\n"
+        "recording: {directory: /nowhere}"
+    )
     tmp_path.chmod(0o755)
-    assert closed_to_others(config) in (None, *tmp_path.parents)
+    assert closed_to_service(config) in (None, *tmp_path.parents)
     config.chmod(0o640)
     config.parent.chmod(0o750)
-    assert closed_to_others(config) in (config.parent, *tmp_path.parents)
+    assert closed_to_service(config) in (config.parent, *tmp_path.parents)
+    for mode in (0o640, 0o604):
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "group", lambda _: "tactile-cell")
+            config.chmod(mode)
+            assert service_may(config, S_IROTH) == (mode == 0o640)
     asked = ["service", "install", "-c", str(config)]
     warned = CliRunner().invoke(app, asked).stderr
     assert "no interface is open: set serve.http_port" in warned
     assert f"{config}: the user tactile-cell cannot read /" in warned
     assert f"{token}: the user tactile-cell cannot read /" in warned
     assert "chgrp tactile-cell /" in warned
+    assert "/var/lib/tactile-cell/no-secret is missing: the service reads it there" in warned
+    assert "cannot write /nowhere (recording.directory): install -d -o tactile-cell" in warned
     # As pathlib does for a group without a name, for example of an image or a network drive.
     monkeypatch.setattr(Path, "group", Mock(side_effect=KeyError("gid not found: 54321")))
     assert CliRunner().invoke(app, asked).stderr == warned
@@ -440,7 +458,10 @@ def packed(folder: Path) -> dict[str, bytes]:
     return members
 
 
-def test_no_secret_of_the_cell_is_in_its_bundle(cell: Served, tmp_path: Path) -> None:
+def test_no_secret_of_the_cell_is_in_its_bundle(
+    cell: Served, tmp_path: Path, monkeypatch: Any
+) -> None:
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:1")  # it must not get the token
     Client(cell.interfaces).post("/api/lease", name=f"host with {SECRET}")
     members = packed(tmp_path)
     recording = tmp_path / "recording.mcap"
@@ -468,6 +489,8 @@ def test_without_a_service_the_bundle_says_so(tmp_path: Path, monkeypatch: Any) 
     assert members["health.txt"].startswith(b"the service did not answer: ")
     assert "recording.mcap" not in members
     assert b"more than 1000 bytes" in members["recording.txt"]
+    monkeypatch.setattr(os, "access", lambda name, _: not str(name).endswith(".mcap"))
+    assert b"no permission to read it" in packed(tmp_path)["recording.txt"]
     nothing = changed_config(silent, {"serve.http_port": None})
     (tmp_path / "cell.yaml").write_text(config_text(nothing))
     assert b"serve.http_port is not set" in packed(tmp_path)["health.txt"]

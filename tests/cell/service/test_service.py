@@ -1,6 +1,7 @@
 """The service: one lease commands, anyone holds, nothing is done twice; and what it keeps."""
 
 import sqlite3
+import time
 from collections.abc import Iterator
 from contextlib import closing
 from datetime import date, datetime
@@ -382,6 +383,17 @@ def test_a_shift_begins_at_hours_of_the_local_day(now: Any, begins_h: Any, began
     assert began_s(at_s[0], begins_h) == at_s[1]
 
 
+def test_a_shift_goes_on_in_the_hour_that_a_time_change_repeats(monkeypatch) -> None:
+    monkeypatch.setenv("TZ", "Europe/Berlin")
+    time.tzset()
+    try:
+        begin_s = datetime(2027, 10, 31, 2, 30).timestamp()
+        assert began_s(begin_s + 2100.0, (2.5, 14.0)) == begin_s  # 02:05 again
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+
+
 def test_a_new_shift_begins_with_no_figures_and_parts_keep_their_numbers() -> None:
     clock, faults = Wall(), [0]
     shift = Shift((6.0, 14.0), lambda: faults[0], clock)
@@ -591,11 +603,14 @@ def test_a_disk_that_takes_nothing_is_noted_once_and_gets_the_rows_later(stored,
     (tmp_path / "out").unlink()
     assert stored.look()["today"]["parts"] == 3
     with closing(sqlite3.connect(stored.path)) as other:  # a program that holds it for a while
-        other.execute("BEGIN EXCLUSIVE")
+        other.execute("BEGIN IMMEDIATE")
         stored.add(part())
         stored.look()
         assert "locked" in stored.notes[-1]
-    assert stored.look()["today"]["parts"] == 4
+        stored.now_s += DAY_S
+        stored.add(part())
+        assert stored.look()["today"]["parts"] == 1
+    assert stored.look()["yesterday"]["parts"] == 4
 
 
 def test_a_damaged_file_and_one_of_another_version_are_left_as_they_are(stored: Stored) -> None:

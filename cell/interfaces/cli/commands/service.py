@@ -1,5 +1,6 @@
 """`service`: files of an installed cell: system files, a bundle for support."""
 
+import os
 import platform
 import re
 import shlex
@@ -7,14 +8,15 @@ import shutil
 import ssl
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from http.client import HTTPException
 from importlib.metadata import distributions
 from ipaddress import ip_address
 from pathlib import Path
-from stat import S_IROTH, S_IXOTH
+from stat import S_IROTH, S_IWOTH, S_IXOTH
 from typing import Annotated, BinaryIO
-from urllib.request import Request, urlopen
+from urllib.request import HTTPSHandler, ProxyHandler, Request, build_opener
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
 import typer
@@ -41,12 +43,14 @@ UNIT_FILE = Path("/etc/systemd/system/tactile-cell.service")
 """Files that are installed: udev rules, user, systemd unit."""
 AFTER_WRITING = (
     "systemd-sysusers",
-    "udevadm control --reload && udevadm trigger",
-    "systemctl daemon-reload && systemctl enable --now tactile-cell",
+    "udevadm control --reload && udevadm trigger --action=add",
+    "systemctl daemon-reload && systemctl enable tactile-cell && systemctl restart tactile-cell",
 )
 """Commands that activate the files."""
 _CHIPS = "0403|10c4|1a86"
 """USB vendors whose adapters brltty mistakes for braille displays: FTDI, Silicon Labs, WCH."""
+_FREE_PORTS = 1024
+"""First port that a program opens without a privilege."""
 _UNIT = """\
 # A cell that names parts by touch. Made by `tactile-cell service install`.
 [Unit]
@@ -99,7 +103,7 @@ NoNewPrivileges=yes
 ProtectSystem=strict
 ProtectHome=read-only
 PrivateTmp=yes
-{writable}
+{further}
 [Install]
 WantedBy=multi-user.target
 """
@@ -162,39 +166,46 @@ def _unit(config: CellConfig, config_file: Path | None, options: tuple[str, ...]
     if config_file is not None:
         command += ["--config", str(config_file.resolve())]
     prepare = "".join(f"ExecStartPre=-+{shlex.join(one)}\n" for one in _can_commands(config))
-    writable = f"ReadWritePaths=-{folder}\n" if folder.is_absolute() else ""
+    further = f"ReadWritePaths={_quoted(f'-{folder}')}\n" if folder.is_absolute() else ""
+    if any(port < _FREE_PORTS for port in config.serve.ports):
+        further += "AmbientCapabilities=CAP_NET_BIND_SERVICE\n"
     return _UNIT.format(
-        command=" ".join(map(_quoted, command)),
+        command=" ".join(map(_quoted, command)).replace("$", "$$"),
         name=NAME,
         prepare=prepare,
         state=STATE_FOLDER,
-        writable=writable,
+        further=further,
     )
 
 
 def program() -> list[str]:
-    """Return the command that starts this program, with whole paths."""
-    installed = Path(sys.executable).with_name(NAME)
+    """Return the command that starts this program, with whole paths.
+
+    A link to the active version stays a link.
+    """
+    called = Path(sys.argv[0]).absolute()
+    installed = called if called.name == NAME else Path(sys.executable).with_name(NAME)
     if installed.exists():
         return [str(installed)]
     return [sys.executable, "-c", "from cell.interfaces.cli import main; main()"]
 
 
-def closed_to_others(path: Path) -> Path | None:
-    """Return the first folder, or the file, that other users may not read; None: all readable."""
+def closed_to_service(path: Path) -> Path | None:
+    """Return the first folder, or the file, that the service's user may not read; None: it may."""
     path = path.resolve()
-    folders = reversed(path.parents)
-    closed = (one for one in folders if one.exists() and not one.stat().st_mode & S_IXOTH)
-    unread = path.is_file() and not path.stat().st_mode & S_IROTH
-    return next(closed, path if unread else None)
+    for folder in reversed(path.parents):
+        if folder.exists() and not service_may(folder, S_IXOTH):
+            return folder
+    return path if path.is_file() and not service_may(path, S_IROTH) else None
 
 
-def _group_of(path: Path) -> str | None:
-    """Return the group of a file; None if this machine has no name for it."""
-    try:
-        return path.group()
-    except KeyError:
-        return None
+def service_may(path: Path, others: int) -> bool:
+    """Return whether the service's user has a permission, given as that of others."""
+    for shift, name_of in ((6, path.owner), (3, path.group)):
+        with suppress(KeyError):  # a number without a name on this machine
+            if name_of() == NAME:
+                return bool(path.stat().st_mode & others << shift)
+    return bool(path.stat().st_mode & others)
 
 
 def _can_commands(config: CellConfig) -> Iterator[list[str]]:
@@ -207,8 +218,8 @@ def _can_commands(config: CellConfig) -> Iterator[list[str]]:
 
 
 def _quoted(word: str) -> str:
-    """Return a word of a command quoted for systemd, which then reads %, $ and blanks as text."""
-    word = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
+    """Return a word quoted for systemd, which then reads % and blanks as text."""
+    word = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
     return f'"{word}"' if any(sign in " \\\"';" for sign in word) else word
 
 
@@ -244,13 +255,16 @@ def write_bundle(path: Path, config: CellConfig) -> list[str]:
     }
     recordings = Path(config.recording.directory).glob("*/*.mcap")
     *_, newest = [None, *sorted(recordings, key=lambda one: one.stat().st_mtime)]
-    packed = newest is not None and newest.stat().st_size <= RECORDING_BYTES
-    if newest is not None and not packed:
-        texts["recording.txt"] = f"{newest}: left out, it has more than {RECORDING_BYTES} bytes\n"
+    packed = newest is not None and os.access(newest, os.R_OK)
+    if newest is not None and not (packed and newest.stat().st_size <= RECORDING_BYTES):
+        cause = (
+            f"it has more than {RECORDING_BYTES} bytes" if packed else "no permission to read it"
+        )
+        texts["recording.txt"], packed = f"{newest}: left out, {cause}\n", False
     secrets = _secrets(config.serve)
 
     def write(file: BinaryIO) -> None:
-        with ZipFile(file, "w", ZIP_DEFLATED) as archive:
+        with ZipFile(file, "w", ZIP_DEFLATED, strict_timestamps=False) as archive:
             for name, text in texts.items():
                 archive.writestr(name, _without(secrets, text))
             if newest is not None and packed:
@@ -293,9 +307,11 @@ def _asked(serve: ServeConfig, path: str) -> str:
             f"{scheme}://{f'[{host}]' if ':' in host else host}:{serve.http_port}{path}",
             headers={"Authorization": f"Bearer {token}"},
         )
-        with urlopen(request, timeout=_PATIENCE_S, context=context) as answer:
+        # The token goes to the service alone, to no proxy of the environment.
+        direct = build_opener(ProxyHandler({}), HTTPSHandler(context=context))
+        with direct.open(request, timeout=_PATIENCE_S) as answer:
             return str(answer.read().decode())
-    except (OSError, ConfigError) as error:
+    except (OSError, ValueError, HTTPException, ConfigError) as error:
         return f"the service did not answer: {error}\n"
 
 
@@ -334,14 +350,8 @@ def install(
     changed = False
     if config is not None and not checked.serve.ports:
         print_note(ALL_CLOSED)
-    secrets = {Path(name) for key in _SECRET_KEYS if (name := getattr(checked.serve, key))}
-    for path in filter(None, (Path(program()[0]), config, model, *sorted(secrets))):
-        if (closed := closed_to_others(path)) is None or _group_of(closed) == NAME:
-            continue
-        advice = f"move it, for example to {STATE_FOLDER} or /opt, or permit it: chmod o+rX"
-        if path in secrets:
-            advice = f"give it to its group alone: chgrp {NAME} {closed} && chmod g+rX {closed}"
-        print_note(f"{path}: the user {NAME} cannot read {closed}; {advice}")
+    for note in _notes(checked, (Path(program()[0]), config, model)):
+        print_note(note)
     for file, text in files.items():
         path = root / file.relative_to("/")
         if apply:
@@ -356,9 +366,27 @@ def install(
             print_line(f"  {command}")
 
 
+def _notes(config: CellConfig, files: Iterable[Path | None]) -> Iterator[str]:
+    """Yield what the service's user cannot read or write: of these files, and of the config."""
+    named = filter(None, (getattr(config.serve, key) for key in _SECRET_KEYS))
+    secrets = {STATE_FOLDER / name for name in named}
+    for path in filter(None, (*files, *sorted(secrets))):
+        if (closed := closed_to_service(path)) is not None:
+            advice = f"move it, for example to {STATE_FOLDER} or /opt, or permit it: chmod o+rX"
+            if path in secrets:
+                advice = f"give it to its group alone: chgrp {NAME} {closed} && chmod g+rX {closed}"
+            yield f"{path}: the user {NAME} cannot read {closed}; {advice}"
+        elif path in secrets and not path.exists():
+            yield f"{path} is missing: the service reads it there"
+    folder = Path(config.recording.directory)
+    if folder.is_absolute() and not (os.path.isdir(folder) and service_may(folder, S_IWOTH)):
+        made = f"install -d -o {NAME} -g {NAME} {shlex.quote(str(folder))}"
+        yield f"the user {NAME} cannot write {folder} (recording.directory): {made}"
+
+
 def _write(path: Path, text: str) -> bool:
     """Write a file if the person agrees; return whether it has changed."""
-    before = path.read_text("utf-8") if path.exists() else None
+    before = path.read_text("utf-8", errors="replace") if path.exists() else None
     if before == text:
         print_line(f"{path}: already up to date")
         return False
