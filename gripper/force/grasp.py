@@ -319,22 +319,19 @@ class GripStep:
 
     def outcome(self, final: ServoFeedback) -> GraspOutcome:
         """Return the outcome of the ramp; ``final`` is its last feedback."""
-        contact = self._contact
         final_n = 0.0 if self.control is None else self.control.force_n
         requested_n, ended_n = self._time.requested_n, self._time.ramp.final_n
         reached = abs(final_n - requested_n) <= self._settings.settle_tolerance_at_n(requested_n)
         held = GraspResult.FORCE_REACHED if reached else GraspResult.FORCE_NOT_REACHED
         unreached = ""
         if not (reached or self.lost):
-            unreached = (
-                f"the ramp ended with {final_n:.1f} N, and {requested_n:.1f} N were asked for"
-            )
+            unreached = f"the ramp ended with {final_n:.1f} N; {requested_n:.1f} N were asked for"
             if ended_n < requested_n:
                 unreached += _too_small(self._settings, final.aperture_m)
         return GraspOutcome(
             result=GraspResult.PART_LOST if self.lost else held,
-            contact_t_s=None if contact is None else contact.t_s,
-            contact_aperture_m=None if contact is None else contact.aperture_m,
+            contact_t_s=None if self._contact is None else self._contact.t_s,
+            contact_aperture_m=None if self._contact is None else self._contact.aperture_m,
             final_aperture_m=final.aperture_m,
             final_force_n=final_n,
             overshoot_n=max(0.0, self._peak_n - ended_n),
@@ -427,9 +424,8 @@ def _check_part(control: GripControl, moment: Moment) -> None:
 
 def _too_small(settings: GripperSettings, aperture_m: float) -> str:
     return (
-        f": the part is too small or too soft, at an opening of {1e3 * aperture_m:.1f} mm "
-        f"(gripper.aperture_min_mm is {1e3 * settings.least_pressed_m:g}). Ask for less force, or "
-        "lower that key as far as the foam of the pads yields"
+        f": the part is too small or soft at {1e3 * aperture_m:.1f} mm (gripper.aperture_min_mm is "
+        f"{1e3 * settings.least_pressed_m:g}). Ask for less, or lower it as far as the foam yields"
     )
 
 

@@ -125,7 +125,8 @@ def measure_zero(
     if growth < _LEAST_GROWTH:
         raise ValueError(
             f"the load of the pads grew by {growth:.0%} of its end, {_LEAST_GROWTH:.0%} are "
-            "needed: the fingers met too fast. Lower gripper.approach_speed_mm_s"
+            "needed: the fingers met too fast. Lower gripper.approach_speed_mm_s, or raise "
+            "gripper.current_max_a"
         )
     ratio, ratio_sd = _ratio(load)
     evened = [rise[0] / np.sqrt(ratio), rise[1] * np.sqrt(ratio)]
