@@ -295,10 +295,13 @@ class Cia402Drive(Axis):
         self._supervised = False
         slow = self.settings.counts(self.settings.velocity) * _STILL_SHARE
         still = abs(self._read("Velocity actual value")) <= slow
-        return still and self._state() != "OPERATION ENABLED"
+        stands = still and self._state() != "OPERATION ENABLED"
+        if stands:
+            self.rest()
+        return stands
 
     def check(self) -> None:
-        """Raise an error from heartbeat, emergencies and answers since the last check."""
+        """Raise an error from heartbeat and answers since the last check."""
         self._bus.service()
         surplus = self._client.surplus - self._surplus
         if surplus >= _SURPLUS_ANSWERS:
@@ -316,9 +319,9 @@ class Cia402Drive(Axis):
         if self._nmt_state == _STOPPED or (self._supervised and self._nmt_state != _OPERATIONAL):
             state = NMT_STATES.get(self._nmt_state, "unknown").lower()
             raise errors.AxisNotOperational(
-                f"{self.label} is in the NMT state {state}, it has to be operational: another "
-                "CANopen master has commanded it. Look for that master; the next motion makes the "
-                "drive operational"
+                f"{self.label} is in the NMT state {state}, it has to be operational: its host was "
+                "silent, or another CANopen master has commanded it. Look for that master; the "
+                "next motion makes the drive operational"
             )
         silent_s = self._watch.clock.monotonic() - self._heard_s
         if self._supervised and silent_s > self._bus.loss_s:
@@ -432,8 +435,8 @@ class Cia402Drive(Axis):
         if state != "OPERATION ENABLED":
             restarted = state == "SWITCH ON DISABLED"
             raise (errors.AxisRestarted if restarted else errors.AxisFault)(
-                f"{self.label} left OPERATION ENABLED for {state}: it has restarted, another "
-                "master commands it, or its enable input or safe torque off is open"
+                f"{self.label} left OPERATION ENABLED for {state}: it has restarted, its host was "
+                "silent, another master commands it, or its enable input or safe torque off is open"
             )
 
     def _until(

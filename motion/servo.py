@@ -242,8 +242,7 @@ class ServoAxis(Axis):
                 ended = attempt >= _ATTEMPTS and self._watch.clock.monotonic() >= end_s
                 if ended or not missing:
                     raise errors.AxisSilent(
-                        f"{self.label} does not answer as it should: {error}; check its supply and "
-                        "cable, ID and baud rate"
+                        f"{self.label} does not answer as it should: {error}"
                     ) from error
             self._watch.pause(_RETRY_S)
         self._watch.look()

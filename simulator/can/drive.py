@@ -178,6 +178,9 @@ class SimulatedDrive(CanopenDevice):
             self._host_due_s = math.inf
             self._node.emcy.send(od.HOST_LOST_CODE, _REGISTER_COMMUNICATION, b"")
             self._abort_connection()
+            # The default of 1029h:01 (CiA 301, 7.5.2.32).
+            if self.nmt_state == "OPERATIONAL":
+                self._node.nmt.state = "PRE-OPERATIONAL"
         while self._stepped_s + STEP_S <= now_s + 1e-9:
             self._stepped_s += STEP_S
             self._step()

@@ -298,6 +298,14 @@ def test_a_drive_whose_host_is_gone_stops_by_itself(make_drive) -> None:
     bench.clock.sleep(1.0)
     assert bench.simulated.state == "QUICK STOP ACTIVE"
     assert -0.02 < bench.simulated.position < 0.0
+    with pytest.raises(AxisNotOperational, match="its host was silent"):
+        bench.move(0.0)
+    assert bench.move(0.0) == pytest.approx(0.0, abs=NEAR_M)
+    # A motion that was stopped needs no host either.
+    bench.drive.go_to(0.02)
+    bench.axes.stop()
+    bench.clock.sleep(5.0)
+    assert bench.simulated.nmt_state == "OPERATIONAL"
     assert bench.move(0.0) == pytest.approx(0.0, abs=NEAR_M)
 
 

@@ -171,7 +171,8 @@ class SlideWatch:
                 return None
             self._first = _Centre.of(before)
         now, slide_m = _Centre.of(recent), self._settings.slide_m
-        sudden_m = now.beyond_m(_Centre.of(before), min(CREEP_M, slide_m))
+        # After a gap of the samples there is only the first centre.
+        sudden_m = now.beyond_m(_Centre.of(before), min(CREEP_M, slide_m)) if before else 0.0
         along_m = max(sudden_m, now.beyond_m(self._first, slide_m))
         return f"it has slid along the pads by {1e3 * along_m:.2f} mm" if along_m > 0.0 else None
 

@@ -47,11 +47,16 @@ def test_fingers_that_close_after_the_part_show_a_slip() -> None:
     assert "closed by 1.5" in str(told[first])
 
 
-def slid_m(period_s: float, noise_m: float, *, speed_m_s: float) -> float:
-    """Return how far a part has slid when that is reported; 1 m where it never is."""
+def slid_m(period_s: float, noise_m: float, *, speed_m_s: float, gap_s: float = 0.0) -> float:
+    """Return how far a part has slid when that is reported; 1 m where it never is.
+
+    Between 2 s and ``gap_s`` s later there are no samples.
+    """
     watch, draw = SlipWatch(SETTINGS), random.Random(5)
     for i in range(round(4.0 / period_s)):
         t_s = period_s * i
+        if 2.0 < t_s < 2.0 + gap_s:
+            continue
         x_m = speed_m_s * max(0.0, t_s - 1.0)
         centre_m = (x_m + draw.gauss(0.0, noise_m), 0.0)
         sample = ForceSample(t_s=t_s, force_n=(5.0, 5.0), centre_m=centre_m, centre_noise_m=noise_m)
@@ -72,6 +77,11 @@ def test_the_noisier_the_centre_the_farther_is_a_slide() -> None:
 
 def test_a_slow_slide_is_reported_at_the_largest_way_that_is_allowed() -> None:
     assert 0.0014 < slid_m(0.02, 0.0001, speed_m_s=0.001) < 0.0017
+
+
+def test_after_a_gap_of_the_samples_the_first_place_counts() -> None:
+    assert slid_m(0.02, 0.0001, speed_m_s=0.0, gap_s=0.5) == 1.0
+    assert slid_m(0.02, 0.0001, speed_m_s=0.001, gap_s=1.5) == pytest.approx(0.0025, abs=1e-4)
 
 
 def test_force_beyond_the_set_point_that_is_given_back_is_no_slip() -> None:
