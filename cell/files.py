@@ -10,6 +10,7 @@ import secrets
 import stat
 import sys
 import tokenize
+import unicodedata
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
@@ -182,6 +183,17 @@ def savez(file: IO[bytes], arrays: Mapping[str, NDArray[Any]]) -> None:
                 np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
 
 
+def array_names(path: Path) -> set[str]:
+    """Return the names of the arrays of an npz archive; none for anything else."""
+    with (
+        suppress(CellError, OSError, zipfile.BadZipFile),
+        open_plain(path, error=CellError, what="file") as file,
+        zipfile.ZipFile(file) as archive,
+    ):
+        return {name.removesuffix(".npy") for name in archive.namelist()}
+    return set()
+
+
 def read_npz(
     path: Path, *, error: type[CellError], what: str, limit_bytes: int
 ) -> dict[str, NDArray[Any]]:
@@ -351,6 +363,7 @@ def checked_label(label: str) -> str:
 
     Raises ValueError if it is blank, of dots, or has space around it, or as `check_text`.
     """
+    label = unicodedata.normalize("NFC", label)  # both forms of an umlaut are one name
     # In an address . and .. are no names.
     if not label.strip().strip(".") or label != label.strip():
         raise ValueError(

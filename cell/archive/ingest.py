@@ -8,12 +8,11 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
-from zipfile import BadZipFile, ZipFile
 
 from cell.archive.selection import of_cell
-from cell.archive.store import Archive, Row, batches, grasp_key, recording_rows
+from cell.archive.store import BUSY, Archive, Row, batches, grasp_key, recording_rows
 from cell.errors import ArchiveError, CellError, reason_text
-from cell.files import alone_in, open_plain
+from cell.files import alone_in, array_names, open_plain
 from cell.learning.parallel import one_blas_thread
 from cell.recording.dataset import read_dataset
 from cell.recording.reader import read_recording
@@ -22,8 +21,6 @@ from recognition.evaluation.evaluation import Mapper, one_by_one
 
 _KINDS = (".mcap", ".npz")
 """Endings of recordings and data sets; recordings first, since they hold more data."""
-_BUSY = "another program adds to this archive; run it again when that has ended"
-
 _open = partial(open_plain, error=CellError, what="file")
 
 Names = dict[str, tuple[str, str]]
@@ -73,7 +70,8 @@ def sources(places: Sequence[Path]) -> list[Path]:
         if place.is_dir():
             walked = os.walk(place, onerror=refuse, followlinks=True)
             paths = sorted(Path(folder, name) for folder, _, names in walked for name in names)
-            files += [path for path in paths if path.suffix in _KINDS and not _is_model(path)]
+            known = (path for path in paths if path.suffix in _KINDS)
+            files += [path for path in known if "model" not in array_names(path)]
         elif place.exists():
             files.append(place)
         else:
@@ -83,12 +81,6 @@ def sources(places: Sequence[Path]) -> list[Path]:
             f"no recording (.mcap) and no data set (.npz) in {', '.join(map(str, places))}"
         )
     return list(dict.fromkeys(path.resolve() for path in files))
-
-
-def _is_model(path: Path) -> bool:
-    with suppress(CellError, OSError, BadZipFile), _open(path) as data, ZipFile(data) as file:
-        return "model.npy" in file.namelist()
-    return False
 
 
 def ingest(
@@ -112,7 +104,7 @@ def ingest(
         results are added here, in the order of the files.
     """
     archive, done = Archive(target, create=True), Ingested()
-    with alone_in(Path(target), ArchiveError(_BUSY)) if Path(target).is_dir() else nullcontext():
+    with alone_in(archive.folder, ArchiveError(BUSY)) if archive.folder else nullcontext():
         archive.clear_staged()
         every = sorted(paths, key=lambda path: path.suffix != _KINDS[0])
         progress("archive", 0, len(every))

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import asdict
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
@@ -281,6 +282,9 @@ def grasps_of(batch: pa.RecordBatch) -> Iterator[Grasp]:
         )
 
 
+BUSY = "another program adds to this archive; run it again when that has ended"
+_WHOLE = "whole"
+"""File beside the staged rows of a source that are all there."""
 SOURCES, STAGED = "_sources", "_staged"
 """Folders of the notes, and of staged files; readers of Parquet skip them."""
 MOST_PARTITIONS = 1 << 20
@@ -324,6 +328,8 @@ class Archive:
                 self._fs.makedirs(f"{self._root}/{STAGED}", exist_ok=True)
                 self._fs.pipe_file(staged, json.dumps({"format": str(ARCHIVE)}).encode())
                 self._fs.mv(staged, head)
+        self.folder = Path(self._root) if "file" in self._fs.protocol else None
+        """Its folder on this machine; None elsewhere."""
         self._keys = lru_cache(_CACHED_DAYS)(self._keys_in)
 
     # Reading
@@ -405,17 +411,24 @@ class Archive:
                 file_options=ds.ParquetFileFormat().make_write_options(compression="zstd"),
                 preserve_order=True,
             )
+            self._fs.makedirs(f"{self._root}/{STAGED}/{name}", exist_ok=True)
+            self._fs.pipe_file(f"{self._root}/{STAGED}/{name}/{_WHOLE}", b"")
         return name
 
     def add(self, sha256: str, source: str, staged: str) -> tuple[int, int]:
         """Move staged files to their place; return the number of new and of known grasps.
 
-        One program at a time may add to an archive.
+        One program at a time may add to an archive. Raises ArchiveError if another one has removed
+        the staged files.
         """
         new = known = 0
         with _named(self.target):
             self._fs.invalidate_cache()  # a worker has written the files
-            for path in self._fs.find(f"{self._root}/{STAGED}/{staged}"):
+            files = self._fs.find(f"{self._root}/{STAGED}/{staged}")
+            parts = [path for path in files if not path.endswith(_WHOLE)]
+            if len(parts) == len(files):
+                raise ArchiveError(BUSY)
+            for path in parts:
                 folder, _, name = path.rpartition(f"/{staged}/")[2].rpartition("/")
                 there = self._keys(folder)
                 with self._fs.open(path, "rb") as file, pq.ParquetFile(file) as rows:

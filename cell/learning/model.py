@@ -7,7 +7,6 @@ format, its pads or the version of its features differ from this program.
 import hashlib
 import importlib
 import json
-import zipfile
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -19,7 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import ConfigError, ModelError, reason_text
-from cell.files import DAMAGE, MODEL, PROGRAM, check_text, read_npz, savez, write_atomically
+from cell.files import (
+    DAMAGE,
+    MODEL,
+    PROGRAM,
+    array_names,
+    check_text,
+    read_npz,
+    savez,
+    write_atomically,
+)
 from cell.plugins import RECOGNIZERS
 from recognition.drift.drift import DriftFollowing
 from recognition.errors import RecognitionError
@@ -125,13 +133,10 @@ def save_model(path: Path | str, trained: Trained, pads: PadArray) -> None:
             f"cannot write model {path}: the trainer {trainer_name!r} did not make this "
             "recognizer; name the one that did"
         )
-    if zipfile.is_zipfile(path):
-        with zipfile.ZipFile(path) as present:
-            if f"{_DATASET}.npy" in present.namelist():
-                raise ModelError(
-                    f"{path} is a data set; a model would replace its grasps: choose another name "
-                    "for -o"
-                )
+    if _DATASET in array_names(path):
+        raise ModelError(
+            f"{path} is a data set; a model would replace its grasps: choose another name for -o"
+        )
     parts = {_PREFIX: trained.recognizer.to_arrays(), _TRAINING: trained.training_set}
     arrays: dict[str, NDArray[Any]] = pads.to_arrays(_PADS) | {
         prefix + name: np.asarray(array)

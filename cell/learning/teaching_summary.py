@@ -18,6 +18,8 @@ eight similar objects were taught with three or four grasps
 (docs/decisions/0006-parts-of-the-recognizer.md)."""
 _FOLDS = 2
 """Parts of the grasps that are left out in turn: the minimum, because each costs a training."""
+_OPENING_GRASPS = 3
+"""Least number of grasps of each object with a known opening: with less none uses the opening."""
 _ENOUGH_OBJECTS = 4
 """Least number of objects for an estimate of how a new object differs."""
 
@@ -28,7 +30,7 @@ def teaching_notes(grasps: Sequence[Grasp]) -> tuple[str, ...]:
     Raises ValueError if a grasp has no label.
     """
     members = by_label(grasps)
-    notes = _amount_note(members), _series_note(members), _zero_note(grasps)
+    notes = _amount_note(members), _series_note(members), _zero_note(grasps), _opening_note(members)
     return tuple(note for note in notes if note)
 
 
@@ -67,10 +69,10 @@ def _series_note(members: Mapping[str, Sequence[Grasp]]) -> str:
         )
     if once := len(members) - len(again):
         return (
-            f"taught in several series: {', '.join(again)}; in one: the {once} "
-            "others. Grasps of another day are most similar to those taught on another day, so "
-            "the others may be named as one of these: teach all objects again, or omit the "
-            "further series (`tactile-cell model evaluate --split series` measures it)"
+            f"taught in several series: {', '.join(again)}; in one: {once} of {len(members)}. "
+            "Grasps of another day are most similar to those taught on another day, so the others "
+            "may be named as one of these: teach all objects again, or omit the further series "
+            "(`tactile-cell model evaluate --split series` measures it)"
         )
     return ""
 
@@ -83,6 +85,20 @@ def _zero_note(grasps: Sequence[Grasp]) -> str:
         f"{without} of {len(grasps)} grasps have no self-zero, so the model "
         "uses none and answers allow for any drift on another day: teach their objects again "
         "after a self-zero (config `self_zero`, `tactile-cell hand zero`)"
+    )
+
+
+def _opening_note(members: Mapping[str, Sequence[Grasp]]) -> str:
+    known = {
+        label: sum(bool(np.isfinite(grasp.aperture_m).any()) for grasp in group)
+        for label, group in members.items()
+    }
+    few = [label for label, n in known.items() if n < _OPENING_GRASPS]
+    if len(few) in (0, len(known)):
+        return ""
+    return (
+        f"{', '.join(few)}: fewer than {_OPENING_GRASPS} grasps with a known opening, so the model "
+        "uses touch alone: teach them again, or leave them out (`--object`)"
     )
 
 

@@ -22,10 +22,9 @@ class _Goal(BaseModel):
     @field_validator("label", "present", "feed", check_fields=False)
     @classmethod
     def _labels(cls, value: str | tuple[str, ...] | None) -> str | tuple[str, ...] | None:
-        for label in value if isinstance(value, tuple) else (value,):
-            if label is not None:
-                checked_label(label)
-        return value
+        if value is None:
+            return None
+        return checked_label(value) if isinstance(value, str) else tuple(map(checked_label, value))
 
 
 class TeachGoal(_Goal):

@@ -169,6 +169,11 @@ def test_a_model_replaces_no_data_set(learnt, tmp_path) -> None:
     with pytest.raises(ModelError, match="a model would replace its grasps"):
         save_model(tmp_path / "m.npz", trained(learnt), PADS)
     assert (tmp_path / "m.npz").read_bytes() == before
+    (tmp_path / "m.npz").write_bytes(before.replace(b"PK\x01\x02", b"PK\x01\x03"))  # damaged
+    save_model(tmp_path / "m.npz", trained(learnt), PADS)
+    os.mkfifo(tmp_path / "pipe.npz")
+    with pytest.raises(ModelError, match="not a plain file"):
+        save_model(tmp_path / "pipe.npz", trained(learnt), PADS)
 
 
 # -- What a teaching does not show is named, and what a taught model shows of its objects ----------
@@ -199,8 +204,12 @@ def test_further_series_of_some_objects_alone_are_warned_of() -> None:
     first = [grasp(label, i) for label in ("ball", "box", "cone", "disc") for i in range(10)]
     again = [a_day_later(g) for g in first]
     (note,) = teaching_notes([*first, *again[:10]])
-    assert note.startswith("taught in several series: ball; in one: the 3 others")
+    assert note.startswith("taught in several series: ball; in one: 3 of 4")
     assert teaching_notes([*first, *again]) == ()
+    bare = [replace(g, aperture_m=np.full_like(g.aperture_m, np.nan)) for g in first]
+    assert not any("known opening" in note for note in teaching_notes(bare))
+    (*_, note) = teaching_notes([*bare[:8], *first[8:]])
+    assert note.startswith("ball: fewer than 3 grasps with a known opening")
 
 
 def test_grasps_without_a_self_zero_among_others_are_named() -> None:

@@ -496,6 +496,10 @@ def test_goals_are_checked(goal: Any, complaint: str) -> None:
     assert complaint in str(caught.value)
 
 
+def test_both_forms_of_an_umlaut_are_one_name() -> None:
+    assert TeachGoal(label="Nu\u0308sse").label == "N\u00fcsse"
+
+
 def test_nothing_taught_is_nothing_to_identify_or_save(make_plugin: Any, tmp_path: Path) -> None:
     plugin = make_plugin()
     for ask in (lambda: plugin.start(IdentifyGoal()), lambda: plugin.save(tmp_path / "m.npz")):

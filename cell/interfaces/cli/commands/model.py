@@ -53,7 +53,8 @@ def train(
     grasps = selected_grasps(datasets, selection, print_line)
     if not all(grasp.pads.same_as(grasps[0].pads) for grasp in grasps):
         raise CellError("the data sets are of different pads; train a model for each")
-    if twice := len(duplicate_grasps(grasps)):
+    repeated = set(map(id, duplicate_grasps(grasps)))
+    if twice := len(repeated):
         print_note(f"{twice} of {len(grasps)} grasps occur twice: probabilities are too high")
     trained = train_model(grasps, recognizer)
     prior = None
@@ -76,7 +77,7 @@ def train(
             f"spread between days and cells: gain {100 * prior.log_gain_sd:.0f} %, opening "
             f"{prior.offset_sd_mm:.1f} mm"
         )
-    notes = teaching_notes(grasps)
+    notes = teaching_notes([grasp for grasp in grasps if id(grasp) not in repeated])
     values = {
         "model": str(model),
         "recognizer": recognizer,
@@ -122,6 +123,7 @@ def calibrate(
     """
     if (model := model_of_folder(model)) is None:
         raise ConfigError("--model is missing; `tactile-cell model train` makes one")
+    gauge = gauge and [*dict.fromkeys(gauge)]
     taken: dict[str, list[Grasp]] = {}
     cell: RunningCell | None = None
     if dataset is not None:

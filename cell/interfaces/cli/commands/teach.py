@@ -76,7 +76,7 @@ def teach(
 ) -> None:
     """Grasp a known object, or a drawing of it, for a data set."""
     with raised_as(ConfigError, ValueError):
-        checked_label(label)
+        label = checked_label(label)
         check_text("series", series)
     if recorded is not None:
         added, before = name_recorded(recorded, label, dataset, series)
