@@ -8,9 +8,7 @@ import pytest
 from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, GroupSyncRead
 
 from gripper import ForceSample, Gripper, RackPinion, open_gripper
-from gripper.dynamixel import models
 from gripper.dynamixel.control_table import TORQUE_ENABLE
-from gripper.dynamixel.models import XM430_W350
 from gripper.dynamixel.protocol2 import CheckedPacketHandler
 from gripper.dynamixel.serial_port import SdkPort, open_line
 from gripper.errors import GripperStateError, LimitExceeded, PortLost, VerificationFailed
@@ -230,35 +228,6 @@ SERVO = ServoSettings(servo_id=1)
 def test_settings_out_of_range_cannot_exist(settings, change, says) -> None:
     with pytest.raises(LimitExceeded, match=says):
         replace(settings, **change)
-
-
-def test_a_servo_with_other_units_is_data(make_cell, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twice the counts in a turn, other counts of current, speed and voltage; the same motor."""
-    other = replace(
-        XM430_W350,
-        name="other units",
-        number=4321,
-        current_unit_a=4.02e-3,
-        current_limit_raw=800,
-        pulses_per_turn=8192,
-        velocity_unit_rad_s=0.01,
-        voltage_unit_v=0.2,
-        min_voltage_raw=48,
-        max_voltage_raw=80,
-        position_gains=(2000, 0, 400),
-    )
-    monkeypatch.setattr(models, "MODELS", {other.name: other})
-    cell = make_cell(model=other, zero_raw=4096)
-    assert cell.gripper.start().ok
-    assert cell.gripper.open(0.02).aperture_m == pytest.approx(0.02, abs=5e-4)
-    seen: list[Cycle] = []
-    outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=10.0, hold_s=0.2), seen.append)
-    assert outcome.result is GraspResult.FORCE_REACHED
-    assert cell.force_n == pytest.approx(4.0, abs=0.4)
-    fastest_m_s = min(cycle.state.aperture_velocity_m_s for cycle in seen)
-    assert fastest_m_s == pytest.approx(-cell.settings.approach_speed_m_s, rel=0.3)
-    assert seen[-1].state.servos[0].current_a == pytest.approx(cell.motors[0].current_a, abs=0.02)
-    cell.gripper.release()
 
 
 class NoPads:

@@ -485,11 +485,6 @@ def test_a_simulated_device_gets_priority_where_granted_and_gives_it_back(
 # -- What crosses to that process, and what it does with it ----------------------------------------
 
 
-def test_a_command_with_a_watch_sends_its_periods() -> None:
-    watched = [HandRequest(number=1, method=name).watched for name in ("grasp", "release", "tare")]
-    assert watched == [True, True, False]
-
-
 REPORT = VerificationReport(
     rows=(VerificationRow(servo_id=1, item="x", expected="1", actual="2", ok=False),)
 )

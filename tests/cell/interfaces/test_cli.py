@@ -730,11 +730,6 @@ def test_choices_are_taken_by_number_name_or_enter(typed, lines, answer, capsys)
     assert "  1  the first (Enter)\n  | |\n  2  the second" in capsys.readouterr().out
 
 
-def test_a_step_with_one_answer_asks_for_enter(typed, capsys) -> None:
-    typed("x", "").confirm("q", "Move it.")
-    assert "Press Enter when it is done, or q to leave." in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("lines", "default", "answer"),
     [(["10,5"], None, 10.5), (["", "0", "nan", "ten", "99"], None, 99.0), ([""], 7.0, 7.0)],
