@@ -58,7 +58,6 @@ _NEXT = {
     "SWITCH ON DISABLED": State402.CW_SHUTDOWN,
     "READY TO SWITCH ON": State402.CW_SWITCH_ON,
     "SWITCHED ON": State402.CW_OPERATION_ENABLED,
-    # The direct way back, transition 16, is optional (CiA 402-2).
     "QUICK STOP ACTIVE": State402.CW_DISABLE_VOLTAGE,
 }
 """Controlword that leads from each state towards OPERATION ENABLED."""
@@ -369,6 +368,9 @@ class Cia402Drive(Axis):
                 self._write("Controlword", _NEXT[state])
             return state == "OPERATION ENABLED"
 
+        if self._state() == "QUICK STOP ACTIVE":
+            # Transition 16 keeps the torque; it is optional (CiA 402-2).
+            self._write("Controlword", State402.CW_OPERATION_ENABLED)
         failure = "is not enabled: check its power stage, enable input and safe torque off"
         self._until(enabled, failure, errors.AxisMissing)
 

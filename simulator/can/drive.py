@@ -132,6 +132,8 @@ class SimulatedDrive(CanopenDevice):
         """Fault knob: the axis is blocked."""
         self.forced_switch = 0
         """Fault knob: -1 or 1 for a limit switch that is always active."""
+        self.resumes = True
+        """Whether it has transition 16, from a quick stop back to operation; it is optional."""
         self.slipped = 0.0
         """Fault knob: offset of the axis from the encoder's position in m or rad."""
         self._stepped_s = start_s
@@ -251,7 +253,8 @@ class SimulatedDrive(CanopenDevice):
         elif not low & _NO_QUICK_STOP_BIT:
             self._quick_stop()
         elif self.state == "QUICK STOP ACTIVE":
-            pass  # transition 16 is optional: this drive lacks it
+            if self.resumes and low == State402.CW_OPERATION_ENABLED:
+                self.state = "OPERATION ENABLED"
         elif not low & _SWITCHED_ON_BIT:
             self._switch_off("READY TO SWITCH ON")
         elif self.state != "SWITCH ON DISABLED":

@@ -289,8 +289,10 @@ def test_messages_that_are_none_are_passed_over(bench, frame) -> None:
     assert bench.move(0.01) == pytest.approx(0.01, abs=NEAR_M)
 
 
-def test_a_drive_whose_host_is_gone_stops_by_itself(make_drive) -> None:
-    bench = make_drive(homing=None)
+@pytest.mark.parametrize("resumes", [True, False])
+def test_a_drive_whose_host_is_gone_stops_by_itself(make_drive, resumes: bool) -> None:
+    bench, states = make_drive(homing=None), set[str]()
+    bench.simulated.resumes = resumes
     bench.move(-0.02)
     bench.clock.sleep(5.0)  # while it stands, nobody has to send anything
     assert bench.simulated.state == "OPERATION ENABLED"
@@ -301,12 +303,14 @@ def test_a_drive_whose_host_is_gone_stops_by_itself(make_drive) -> None:
     with pytest.raises(AxisNotOperational, match="its host was silent"):
         bench.move(0.0)
     assert bench.move(0.0) == pytest.approx(0.0, abs=NEAR_M)
-    # A motion that was stopped needs no host either.
+    # A motion that was stopped needs no host either, and goes on with torque if it can.
+    bench.clock.on_advance.append(lambda _now_s: states.add(bench.simulated.state))
     bench.drive.go_to(0.02)
     bench.axes.stop()
     bench.clock.sleep(5.0)
     assert bench.simulated.nmt_state == "OPERATIONAL"
     assert bench.move(0.0) == pytest.approx(0.0, abs=NEAR_M)
+    assert states.isdisjoint({"SWITCH ON DISABLED", "SWITCHED ON"}) == resumes
 
 
 @pytest.mark.parametrize(
