@@ -357,6 +357,8 @@ def zero_text(zeroed: ZeroMeasurement) -> str:
 
 BORNE_SHARE = 0.9
 """Share of the force of the whole current that the fingers press with: the rest is for control."""
+_ATTEMPTS = 3
+"""Attempts to meet softly enough: a gearing that sticks and slips meets hard by chance."""
 _ZERO_FORCE_N, _ZERO_RATE_N_S = 10.0, 5.0
 """Force in N with which the empty fingers press on each other, and its rate in N/s. Two pads of 55
 x 20 mm yield 0.36 mm together, and a ramp of two seconds shows this on each taxel."""
@@ -466,9 +468,13 @@ class Zeroing:
         ``asked``: somebody has checked that the fingers are empty. A part between them is then
         kept; else it is released, and a zero far off may be a flat part.
         """
-        self.open()
-        collector, collect = self.watch.collecting()
-        outcome, zeroed, refused = self._meet(collector, collect)
+        for attempt in range(1, _ATTEMPTS + 1):
+            self.open()
+            collector, collect = self.watch.collecting()
+            outcome, zeroed, refused = self._meet(collector, collect)
+            if zeroed is not None or part_between(outcome) or attempt == _ATTEMPTS:
+                break
+            self.hand.release(self.watch.motion)
         between = part_between(outcome, zeroed)
         if between and asked:
             raise PartBetweenFingers(
