@@ -207,8 +207,10 @@ def test_a_start_with_a_held_part_takes_no_zero_and_keeps_it(make_bench) -> None
 def test_what_is_out_of_bounds_is_named(make_bench, changes, says) -> None:
     bench = make_bench(quick_config(**changes)).ready()
     bench.simulated.remove()
+    zeroing, too_hard = bench.controller.zeroing, [ValueError("they met too fast")] * 2
+    zeroing._zeroed = Mock(wraps=zeroing._zeroed, side_effect=[*too_hard, DEFAULT])
     with pytest.raises(says, match=r"zero_pulse|a tooth of a horn|a finger is bent"):
-        bench.controller.zeroing.measure()
+        zeroing.measure()
 
 
 @pytest.mark.usefixtures("made_up_zero")
@@ -223,8 +225,6 @@ def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path
     assert "pads meet at" in finding.text
     bench, reports = make_bench(quick_config()).ready(), []
     bench.simulated.remove()
-    zeroing, too_hard = bench.controller.zeroing, [ValueError("the fingers met too fast")] * 2
-    zeroing._zeroed = Mock(wraps=zeroing._zeroed, side_effect=[*too_hard, DEFAULT, DEFAULT])
     goal = checked_goal({"task": "zero"})
     assert isinstance(goal, ZeroGoal)
     file: Any = SimpleNamespace(model=None)
