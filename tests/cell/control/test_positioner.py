@@ -151,12 +151,6 @@ def true_pose(bench: Any) -> dict[str, float]:
     return {name: axes[axis].position for name, axis in values.items()} | {"y_m": 0.0}
 
 
-def test_a_host_that_brings_parts_to_their_places_leaves_the_axes_to_be_seen(
-    make_bench: MakeBench, config: CellConfig
-) -> None:
-    assert make_bench(config, places=lambda _destination: None).cell.axes is not None
-
-
 def test_axes_of_a_real_cell_have_a_bus_and_a_port_and_objects_are_brought(monkeypatch) -> None:
     monkeypatch.setattr("cell.build.open_bus", bus := Mock())
     monkeypatch.setattr("cell.build.close_bus", closed := Mock())

@@ -747,10 +747,6 @@ def test_a_refused_restore_names_the_command_that_asks_again(tmp_path, monkeypat
     assert "left: nothing was written; the same command shows the changes again" in ended.stderr
 
 
-def test_a_watched_value_does_not_hold_up_a_pipe(typed) -> None:
-    typed("").confirm("q", "Move it.", watch=lambda: "1 deg")
-
-
 @pytest.mark.parametrize("lines", [["q"], []])
 def test_q_and_the_end_of_input_leave(typed, lines) -> None:
     with pytest.raises(WizardAborted, match="the same command without --redo continues"):
