@@ -72,6 +72,8 @@ class Board:
         if self._repeated:
             self.counts.duplicate += 1
             return
+        # Late frames come in a burst, whose times go back beyond that of a frame before.
+        t_s = max(t_s, self.last_s)
         self._changes.append(not same)
         self.sound.append(True)
         self._last, self.last_s, self.seen = samples, t_s, True

@@ -35,6 +35,9 @@ TAXELS_OF_SMALL_PART = 8
 """Taxels of a pad under a small part: a cylinder of 6 x 20 mm on taxels of 3.4 x 5 mm."""
 
 
+_SLOWEST_FRAMES_MS = 40.0
+"""Longest period in ms of frames without force messages. With 45 and 50 ms the force swings, and
+the fingers run as if the part were gone (simulated cell)."""
 _STARTING_S = 0.3
 """Time in s for the fingers to reach their approach speed, and to slow down at the end."""
 
@@ -207,6 +210,12 @@ class CellConfig(Section):
             )
         self._check_closing(speed_m_s)
         period_ms = 1e3 * tactile.frame_period_s
+        if not tactile.sends_forces and period_ms > _SLOWEST_FRAMES_MS:
+            raise ValueError(
+                f"tactile.sync_period_ms is {period_ms:g}; without force messages the force loop "
+                f"needs a frame every {_SLOWEST_FRAMES_MS:g} ms: lower it, or set "
+                "tactile.force_period_ms"
+            )
         if not tactile.sends_forces and gripper.force_stale_ms < 2.5 * period_ms:
             raise ValueError(
                 f"gripper.force_stale_ms is {gripper.force_stale_ms:g}; without force messages the "

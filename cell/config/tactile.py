@@ -143,7 +143,7 @@ class TactileConfig(Section):
     softer first touch, but more bus load. 0: no messages, the force comes from the frames."""
     silence_ms: float = setting_of(LinkSettings, "silence_s", MILLI, at_most=1000.0)
     """Silence of force messages or frames in ms after which the grip is held, 20 to 1000; at least
-    two periods of SYNC (force messages) or three (frames) are used."""
+    two periods of SYNC (force messages) or three (frames) are used, at most 15 force messages."""
     heartbeat_ms: int = setting_of(
         LinkSettings, "heartbeat_s", MILLI, at_least=10, at_most=1000, number=int
     )

@@ -160,5 +160,6 @@ class KeptPart:
     def _measure(self) -> HeldPart:
         self.hold()
         collector, watch = self.watch.collecting()
-        self.hand.hold_at(self.force_n, HELD_LOOK_S, watch)
+        while not collector.n_frames:  # a gap that is too long is a fault of the sensor
+            self.hand.hold_at(self.force_n, HELD_LOOK_S, watch)
         return measure_held_part(collector, self._zero)

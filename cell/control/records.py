@@ -12,6 +12,7 @@ from gripper.values.outcome import GraspOutcome
 from gripper.values.state import Cycle, TimeSpan
 from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 from recognition.recognizer import Posterior
+from tactile.errors import FrameTimeout
 from tactile.layout import TaxelLayout
 from tactile.source import TactileFrame
 
@@ -97,9 +98,9 @@ class GraspCollector:
 
     @property
     def counts(self) -> NDArray[np.uint16]:
-        """Counts of all frames, (n_frames, n_taxels). Raises ValueError if no frame came."""
+        """Counts of all frames, (n_frames, n_taxels). Raises FrameTimeout if no frame came."""
         if not self._frames:
-            raise ValueError("no tactile frame was received; check the sensor line")
+            raise FrameTimeout("no whole frame of the taxels came: check the line of the sensor")
         return np.stack([frame.counts for frame, _ in self._frames])
 
     def during(self, spans: Sequence[TimeSpan]) -> NDArray[np.int64]:
@@ -111,7 +112,7 @@ class GraspCollector:
         return number
 
     def grasp(self, label: str = "", command: GraspCommand | None = None) -> Grasp:
-        """Return the collected grasp. Raises ValueError if no frame came."""
+        """Return the collected grasp. Raises FrameTimeout if no frame came."""
         counts = self.counts
         t_s = np.array([frame.t_s for frame, _ in self._frames])
         return Grasp(

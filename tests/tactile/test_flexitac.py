@@ -10,6 +10,7 @@ import pytest
 from simulator.boards.flexitac import FlexiTacSettings
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
+from tactile.board_source import Board
 from tactile.errors import FrameTimeout, LayoutError, LinkFault
 from tactile.flexitac import HEADER, PROFILES, FlexiTacSource, FrameStream
 from tactile.layout import LAYOUTS, TaxelLayout
@@ -83,6 +84,13 @@ def test_repeated_frames_are_not_handed_out_as_fresh_ones(cell, source) -> None:
     assert source.statistics.frames.duplicate > 40
     halves = [one.counts[:384].tobytes() for one in frames]
     assert sum(a == b for a, b in pairwise(halves)) == 0
+
+
+def test_a_burst_after_a_late_frame_does_not_go_back_in_time() -> None:
+    board = Board("finger 0")
+    for n, t_s in enumerate((1.1, 1.35, 1.3, 1.4)):
+        board.saw(t_s, t_s, np.array([n, 1], dtype=np.uint16))
+    assert [t_s for _, t_s, _ in board.waiting] == [1.1, 1.35, 1.35, 1.4]
 
 
 def test_bytes_that_nobody_fetched_for_long_are_dropped(cell, source) -> None:

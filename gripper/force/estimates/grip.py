@@ -52,8 +52,8 @@ class History:
         return self._entries[0][1] + self._shift
 
     def most(self, *, since_s: float) -> float:
-        """Return the largest value since a time in s."""
-        return self._shift + max(value for then_s, value in self._entries if then_s >= since_s)
+        """Return the largest value since a time in s, at least the newest one."""
+        return max([self.newest, *(v + self._shift for t_s, v in self._entries if t_s >= since_s)])
 
     def shift(self, by: float) -> None:
         """Add ``by`` to all values."""

@@ -67,6 +67,16 @@ def test_what_is_shown_of_a_carried_part_is_what_its_supervision_measures(make_b
     assert np.any(bench.controller.live.counts != counts)
 
 
+def test_a_look_at_the_part_waits_for_a_frame(make_bench) -> None:
+    frames = {"force_period_ms": 0, "sync_period_ms": 40.0, "silence_ms": 200.0}
+    frames |= {"loss_max_share": 0.5, "heartbeat_ms": 500}
+    slow = {f"tactile__{key}": value for key, value in frames.items()}
+    bench = make_bench(quick_config(**slow, gripper__force_stale_ms=300.0)).ready("ball")
+    identify(bench, Scripted(SURE), Keep.ALWAYS)
+    bench.simulated.inject("can.loss=1@0ms..125ms")
+    assert bench.controller.kept_part.verify().same
+
+
 def test_what_is_not_measured_is_not_shown_and_its_age_grows(bench: Any) -> None:
     identify(bench, Scripted(SURE), Keep.ALWAYS)
     bench.sleep(2.0)  # nobody ticks

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gripper.errors import ForceAboveCap, ForceSensorStale
+from gripper.force.estimates.grip import History
 from gripper.force.ramp import ForceRamp
 from gripper.force.timing import Histogram, LoopTimer
 from gripper.values.outcome import GraspResult
@@ -174,3 +175,10 @@ def test_the_force_is_known_again_after_a_stall_on_a_ramp(
     assert outcome.result is GraspResult.FORCE_REACHED
     # Two periods later there is a sample from after the stall.
     assert max(errors_n[2:]) < 2.0
+
+
+def test_a_time_after_all_values_has_the_newest_one() -> None:
+    drives = History()
+    for t_s, drive_n in ((0.0, 5.0), (0.1, 3.0)):
+        drives.add(t_s, drive_n)
+    assert (drives.most(since_s=0.0), drives.most(since_s=0.25)) == (5.0, 3.0)
