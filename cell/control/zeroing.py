@@ -145,6 +145,16 @@ class SelfZeros:
         return self._last if young and self.when != "never" else None
 
     @property
+    def expired(self) -> str:
+        """Why the last one is no longer used, as text; else empty."""
+        if self._last is None or self.when == "never" or self.newest is not None:
+            return ""
+        return (
+            "the self-zero is older than a day: answers allow for any drift. Take everything out "
+            f"of the grip, then {_MEASURE}"
+        )
+
+    @property
     def due(self) -> bool:
         """Whether a start measures it now."""
         if self.when == "daily":
@@ -357,6 +367,7 @@ def zero_text(zeroed: ZeroMeasurement) -> str:
 
 BORNE_SHARE = 0.9
 """Share of the force of the whole current that the fingers press with: the rest is for control."""
+_MEASURE = "run the task `zero`, or without a service `tactile-cell hand zero`"
 _ATTEMPTS = 3
 """Attempts to meet softly enough: a gearing that sticks and slips meets hard by chance."""
 _ZERO_FORCE_N, _ZERO_RATE_N_S = 10.0, 5.0
@@ -387,7 +398,7 @@ class Zeroing:
     @property
     def note(self) -> str:
         """Why there is no self-zero, or why it was not saved for other programs; else empty."""
-        return self.missed or self.zeros.unkept or self.zeros.refused
+        return self.missed or self.zeros.unkept or self.zeros.refused or self.zeros.expired
 
     @property
     def drives(self) -> dict[int, DriveCharacteristic]:
@@ -419,8 +430,8 @@ class Zeroing:
             self._note_each_drive()
             self.missed = (
                 f"no self-zero today, answers allow for any drift: {error}. The fingers are open. "
-                f"Take everything out of the grip, then run the task `zero`, or without a service "
-                f"`tactile-cell hand zero`; with `self_zero: on_demand` no start closes the fingers"
+                f"Take everything out of the grip, then {_MEASURE}; with `self_zero: on_demand` no "
+                "start closes the fingers"
             )
             self.journal.note("note", self.missed)
 

@@ -192,10 +192,13 @@ class ForceRampRecognizer(TaughtRecord):
         return self.with_grid(self.grid_at(grasp).with_unnamed(evidence.of_any()))
 
     def grid_at(self, grasp: Grasp) -> DriftGrid:
-        """Return the drift at a grasp: a new self-zero gives a new prior."""
-        if self.zero is None or grasp.zero is None or grasp.zero == self.grid.zero:
+        """Return the drift at a grasp: a new self-zero gives a new prior, its end any drift."""
+        zero = None if self.zero is None else grasp.zero
+        if zero == self.grid.zero:
             return self.grid
-        return DriftGrid(prior=prior_since(self.zero, grasp.zero), zero=grasp.zero)
+        if self.zero is None or zero is None:
+            return DriftGrid()
+        return DriftGrid(prior=prior_since(self.zero, zero), zero=zero)
 
     def with_grid(self, grid: DriftGrid) -> Self:
         """Return a copy with another estimate of the drift."""
@@ -221,6 +224,9 @@ class ForceRampRecognizer(TaughtRecord):
         same_zero = grid.zero is None or grid.zero == self.zero
         elsewhere = self.taught_on and _on_cell(grasp) and grasp.source not in self.taught_on
         apart_ms = int(np.abs(self.taught_ms - grasp.start_ms).min())
+        if self.taught_on:
+            # On a cell all objects were taught in one session up to now, or some drift is possible.
+            apart_ms = int(np.diff(np.sort(np.append(self.taught_ms, grasp.start_ms))).max())
         soon = apart_ms <= _SOON_MS and not elsewhere and same_zero and not grid.n_gauged
         return _SOON_UNCHANGED if soon else 0.0
 

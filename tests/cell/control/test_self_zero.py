@@ -346,11 +346,12 @@ def test_a_self_zero_counts_for_a_day_unless_each_start_measures_one(tmp_path: P
     zeros.keep(ZERO)
     assert not zeros.due
     now_s[0] += 0.9 * DAY_S
-    assert zeros.newest == ZERO
+    assert (zeros.newest, zeros.expired) == (ZERO, "")
     assert zeros.due
     assert [SelfZeros(when, path=path).due for when in ("always", "on_demand")] == [True, False]
     now_s[0] += 0.2 * DAY_S
     assert zeros.newest is None
+    assert "is older than a day" in zeros.expired
     later = SelfZeros(path=path, now_s=lambda: now_s[0])
     assert (later.newest, later.measured_s) == (None, 1.8e9)
 

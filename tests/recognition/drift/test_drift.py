@@ -447,6 +447,9 @@ def test_two_self_zeros_undo_what_has_changed_for_each_grasp(train, fresh) -> No
     # Following goes on within one session, and begins anew with another self-zero.
     followed = taught.follow(told[0]).follow(told[1])
     assert followed.grid.n_followed == 2
+    # Without its self-zero a grasp is not corrected: what is known after one does not count.
+    assert (bare := followed.grid_at(later[2])).prior == DriftPrior()
+    assert bare.n_followed == 0
     assert abs(followed.grid.drift.aperture_offset_m) < 0.3e-3
     assert (
         followed.follow(replace(told[2], zero=zero_of(Drift(gains=(0.8, 0.8))))).grid.n_followed
