@@ -25,7 +25,7 @@ from gripper.errors import LimitExceeded
 from gripper.force.ramp import check_ramp, heat_note, largest_ramp_n
 from gripper.mechanics.impact import check_approach
 from gripper.mechanics.kinematics import Linkage
-from gripper.mechanics.transmission import Mechanics
+from gripper.mechanics.transmission import OPENING_N, Mechanics
 from gripper.settings import GripperSettings
 from recognition.recognizers import DEFAULT_TRAINER
 from tactile.errors import LayoutError
@@ -191,15 +191,20 @@ class CellConfig(Section):
 
     def _check_motion(self, most_n: float) -> None:
         """Refuse a gripper that cannot move, stop below its cap or reach the requested forces."""
+        ends = list[tuple[float, ...]]()
         for name in ("aperture_open_mm", "aperture_min_mm"):
             where = f"gripper.{name} is beyond gripper.linkage, its lengths and offset_mm"
             with raised_as(ValueError, LimitExceeded, where=where):
-                self.linkage.angles_rad(1e-3 * getattr(self.gripper, name))
+                ends.append(self.linkage.angles_rad(1e-3 * getattr(self.gripper, name)))
         with raised_as(ValueError, LimitExceeded, where="gripper"):
             speed_m_s = check_approach(self.mechanics)
         key = "force_n" if most_n in self.sequence.forces_n else "carry_force_n"
         with raised_as(ValueError, LimitExceeded, where=f"gripper and sequence.{key}"):
             check_ramp(self.sequence.ramp.to(most_n), self.mechanics)
+        with raised_as(ValueError, LimitExceeded, where="gripper"):
+            for angles_rad in ends:
+                paths = self.mechanics.transmissions(angles_rad)
+                self.mechanics.motion_currents_a(paths, OPENING_N)
         gripper, tactile = self.gripper, self.tactile
         most_hz = largest_rate_hz(gripper.baud_rate, len(gripper.servos))
         if gripper.loop_rate_hz > most_hz:

@@ -253,7 +253,9 @@ class CellLifecycle:
         except BaseException as error:
             # A latched servo error needs other steps than the fault before it.
             if self.fault is None or isinstance(error, ServoFault):
-                before = "" if self.fault is None else f" (first: {self.fault})"
+                known, _, first = (self.fault or "").partition(" (first: ")
+                first = first.removesuffix(")") or known
+                before = f" (first: {first})" if first else ""
                 self.latched = LatchedFault(error_text(error) + before, fault_number(error))
             self.go(Event.FAULT)
             self.go(Event.ABORTED)

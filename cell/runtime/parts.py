@@ -14,6 +14,7 @@ from cell.control.controller import CellController
 from cell.control.identification import Identification
 from cell.control.part import Part
 from cell.control.records import GraspRecord
+from cell.fault_catalogue import error_text
 from cell.learning.taught_model import TaughtModel
 from tactile.sensor.sensor import TaxelForces
 from tactile.sensor.tare import TareResult
@@ -23,7 +24,7 @@ _POINTS_MAX = 300
 
 OnPart = Callable[[Part, Identification | None], None]
 """Called in the thread of the cell with each part and its grasps; without a label and grasps for a
-turn without a part."""
+turn without a part. Its error is a note, and ends no job."""
 
 
 @dataclass(slots=True)
@@ -85,7 +86,10 @@ class PartLog:
             **fields,
         )
         for on_part in self.listeners:
-            on_part(part, identification)
+            try:
+                on_part(part, identification)
+            except Exception as error:  # the part is named, and may be in the grip
+                self.controller.journal.note("note", f"on_part failed: {error_text(error)}")
         return part
 
 

@@ -390,7 +390,7 @@ class Tasks:
                     "ended_early": record.early is not None,
                     "unreached": record.outcome.unreached,
                 },
-                part=Part(job=report.number, label=answer.name, n_grasps=number),
+                part=Part(job=report.number, task=goal.task, label=answer.name, n_grasps=number),
             )
 
         try:
@@ -501,7 +501,11 @@ class Tasks:
                 continue
             misses = 0
             label, n_grasps = identification.label, len(identification.records)
-            progress(part=Part(job=report.number, label=label, n_grasps=n_grasps, in_grip=True))
+            progress(
+                part=Part(
+                    job=report.number, task=goal.task, label=label, n_grasps=n_grasps, in_grip=True
+                )
+            )
             part = self.parts.add(identification, remark, **self._brought(answer.targets, label))
             answer.add(part)
             progress(part=part)

@@ -16,6 +16,9 @@ from gripper.values.state import ServoFeedback
 
 _FRICTION_RESERVE = 1.2
 """Friction at rest over friction in motion, which a finger must overcome to move. [assumed]"""
+OPENING_N = 3.0
+"""Force in N beside friction that the current of an opening allows: pads may stick to a part.
+[chosen]"""
 MOST_FRICTION = 1.6
 """Largest friction of a gearing over its model's. A larger value has another cause. [assumed]"""
 CAP_SHARE = 0.95

@@ -12,7 +12,7 @@ from gripper.force.approach.mechanics_proof import mechanics_text
 from gripper.force.certainty import BRIEF_S, STEADY_S
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.impact import closing_current_max_a, closing_speed_m_s
-from gripper.mechanics.transmission import BOOST_PER_S, Mechanics, Transmission
+from gripper.mechanics.transmission import BOOST_PER_S, OPENING_N, Mechanics, Transmission
 from gripper.servos.goal_limits import (
     ServoGoal,
     closing_margin_rad,
@@ -35,9 +35,8 @@ _PATIENCE_S = 2.0
 _RUN_RAD = 0.01
 """Travel in rad that shows that the current moves a finger: more than pads and backlash yield.
 [resolution]"""
-_OPENING_N, _LEAST_N = 3.0, 0.5
-"""Forces in N beside friction that the current allows: of an opening, because pads may stick to a
-part, and of the least current. [chosen]"""
+_LEAST_N = 0.5
+"""Force in N beside friction that the least current allows. [chosen]"""
 _LEAD_RAD = 0.04
 """Largest lead of a goal before its finger in rad: the least current is then at its limit.
 [resolution]"""
@@ -148,7 +147,7 @@ class MoveTo:
 
     def _set_currents(self, paths: tuple[Transmission, ...]) -> None:
         settings = self._settings
-        force_n = _OPENING_N if self._opening else settings.approach_force_n
+        force_n = OPENING_N if self._opening else settings.approach_force_n
         for finger, path, least_a, current_a in zip(
             self._fingers,
             paths,

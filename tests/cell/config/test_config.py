@@ -291,6 +291,8 @@ X, TURNED, ONLY = X_AXIS, ROTATION_AXIS, "positioner.kind axes needs positioner.
 ON_CAN1 = {"interface": "socketcan", "channel": "can1"}
 PCAN = {"interface": "pcan", "channel": "PCAN_USBBUS1"}
 ASKED = {"sequence.poses": [{"y_mm": 1.0}]}
+SMALL = [{"id": number, "model": "XL330-M288"} for number in (1, 2)]
+WEAK = {"gripper.servos": SMALL, "sequence.carry_force_n": 1.5}
 SLOW_FRAMES = {"tactile.force_period_ms": 0, "tactile.sync_period_ms": 45.0}
 
 
@@ -311,6 +313,7 @@ SLOW_FRAMES = {"tactile.force_period_ms": 0, "tactile.sync_period_ms": 45.0}
             "sequence.x_mm asks for -2 to 2; its axis goes from -6 to 1",
         ),
         (ASKED, "sequence.y_mm asks for 1 to 1; no axis moves it"),
+        (WEAK | {"sequence.force_n": [0.7, 2.0]}, "gripper: moving the fingers takes"),
         (SLOW_FRAMES, "needs a frame every 40 ms: lower it, or set tactile.force_period_ms"),
         (
             positioner(X, TURNED, WRIST, can={"interface": "slcan"}),

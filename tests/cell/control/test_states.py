@@ -247,10 +247,11 @@ def test_a_clear_that_fails_keeps_the_first_fault_or_names_it_beside_that_of_a_s
     life.latched = LatchedFault("no frame for 0.2 s", 401)
     for error, number in (
         (BusTimeout("the cable is out"), 401),
-        (ServoFault(1, "hot", bits=32), 109),
+        *[(ServoFault(1, "hot", bits=32), 109)] * 2,
     ):
         life.hand.clear_fault = raising(error)  # type: ignore[method-assign]
         with pytest.raises(type(error)):
             life.clear(reboot=False)
         assert (life.state, life.status.fault_number) == (CellState.ABORTED, number)
     assert str(life.fault).endswith("(first: no frame for 0.2 s)")
+    assert str(life.fault).count("first: ") == 1

@@ -53,6 +53,7 @@ from tests.cell.cells import STRANGE, SURE, Scripted, once, quick_config, small_
 from tests.cell.recording.test_recording import fill_disk_after
 from tests.cell.served import LIMIT_S, done, grip_n, until
 from tests.fuzz.harness import Clock
+from tests.values import raising
 
 
 @pytest.fixture(scope="module")
@@ -642,6 +643,7 @@ def sorter(make_plugin: Any) -> Sorter:
 def test_each_part_is_held_until_it_is_at_its_place(make_plugin: Any) -> None:
     share, unknown = SURE
     sorter = Sorter(make_plugin, SURE, (1.0 - share, unknown), STRANGE)
+    sorter.plugin.watch_parts(raising(OSError("disk full")))  # it ends no job
     tally = sorter.sort("ball", "box", "ball").progress
     assert sorter.seen == [("bin 1", "ball"), ("bin 2", "box"), ("reject", "ball")]
     assert min(sorter.forces_n) > 3.0
