@@ -17,7 +17,7 @@ from cell.config.file import changed_config, config_text, parse_config
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState
-from cell.control.zeroing import SelfZeros, part_between, stored_zeros, unsound, zero_file
+from cell.control.zeroing import SelfZeros, stored_zeros, unsound, zero_file
 from cell.errors import CellError, PartInGrip, PlanRefused, ZeroRefused
 from cell.files import SELF_ZERO, write_json
 from cell.interfaces.cli.session import cell_config
@@ -29,7 +29,6 @@ from cell.service.history import history_file
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import MODELS
 from gripper.errors import MechanicsContradicted, PartBetweenFingers
-from gripper.values.outcome import GraspResult
 from recognition.grasp import SelfZero
 from tests.cell.cells import REAL, call, quick_config, small_config
 from tests.marks import LONG
@@ -330,13 +329,6 @@ def test_a_zero_far_from_the_last_one_is_no_daily_one() -> None:
     zeros.keep(replace(ZERO, opening_m=3e-3))  # somebody has asked for it
     assert "they met last at +3.00 mm" in zeros.far_off(replace(ZERO, opening_m=0.5e-3))
     assert "the zero of the config is at +0.00 mm" in zeros.far_off(replace(ZERO, opening_m=3e-3))
-
-
-def test_a_part_that_is_lost_while_the_fingers_close_was_between_them() -> None:
-    lost: Any = SimpleNamespace(
-        result=GraspResult.PART_LOST, ended_early=False, final_aperture_m=0.01
-    )
-    assert "something is between them" in part_between(lost)
 
 
 def test_a_self_zero_counts_for_a_day_unless_each_start_measures_one(tmp_path: Path) -> None:

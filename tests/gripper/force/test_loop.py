@@ -84,14 +84,9 @@ def test_quantiles_are_right_to_a_bin() -> None:
         histogram.add(float(duration_s))
     distribution = histogram.distribution()
     assert distribution.n == 20_000
-    for share, value_s in (
-        (0.5, distribution.p50_s),
-        (0.99, distribution.p99_s),
-        (0.999, distribution.p999_s),
-    ):
-        exact_s = float(np.quantile(durations_s, share))
-        assert exact_s <= value_s * 1.005
-        assert value_s <= exact_s * 1.08
+    shown_s = np.array([distribution.p50_s, distribution.p99_s, distribution.p999_s])
+    over = shown_s / np.quantile(durations_s, (0.5, 0.99, 0.999))
+    assert 0.995 < over.min() <= over.max() < 1.08
     assert distribution.max_s == durations_s.max()
 
 

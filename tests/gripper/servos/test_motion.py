@@ -81,15 +81,6 @@ def test_the_speed_of_the_next_reading_follows_an_acceleration_at_once() -> None
         assert speed < 0.6 * following
 
 
-@pytest.mark.parametrize("rate_rad_s", [0.0, 0.3, -1.0])
-def test_at_a_steady_speed_the_next_reading_has_the_same(rate_rad_s) -> None:
-    motion, rng = ServoMotion(XM430_W350), random.Random(2)
-    for index, rad in enumerate(ramp(rate_rad_s)):
-        count = round(rad / COUNT_RAD + rng.gauss(0.0, 0.3))
-        speed_rad_s = motion.speed_rad_s(index * PERIOD_MS, count * COUNT_RAD)
-    assert motion.next_rad_s == speed_rad_s
-
-
 def test_lost_answers_leave_a_speed_and_a_pause_does_not() -> None:
     ways = ramp(0.4)
     lost = [None if 20 <= index < 23 else rad for index, rad in enumerate(ways)]

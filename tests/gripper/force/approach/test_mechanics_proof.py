@@ -158,27 +158,6 @@ def test_a_pinion_opens_from_each_part_of_its_turn_and_grips_wide_parts(
     assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("friction_error", "aperture_m"), [(0.0, 0.0), (0.3, 0.004), LONG(-0.3, 0.018), LONG(0.6, 0.0)]
-)
-def test_the_proof_costs_a_right_gripper_little_time(
-    make_started, friction_error, aperture_m
-) -> None:
-    """MoveTo alone takes 0.33 s for 18 mm and 0.63 s from closed, at 60 mm/s."""
-    cell = make_started(aperture_m=aperture_m, friction_error=friction_error, present=False)
-    began_s = cell.clock.monotonic()
-    state = cell.gripper.open()
-    assert state.aperture_m == pytest.approx(0.03, abs=0.001)
-    way_s = (0.03 - aperture_m) / 0.06
-    assert cell.clock.monotonic() - began_s < way_s + 0.3
-    outcome = cell.gripper.grasp(RAMP)
-    assert (outcome.result, outcome.contact_t_s) == (GraspResult.NO_CONTACT, None)
-    before_s = cell.clock.monotonic()
-    cell.gripper.open()
-    assert cell.clock.monotonic() - before_s < 0.03 / 0.06 + 0.15
-
-
 def test_two_stiff_fingers_that_stand_too_open_both_get_more_current(make_started) -> None:
     """Both reach the limit of their current in the same period or in two that follow."""
     cell = make_started(aperture_m=0.031, friction_error=0.6, present=False)
