@@ -81,6 +81,9 @@ class LoopProcess:
                 pass_fds=(theirs.fileno(), stop_fd),
                 env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
             )
+        except BaseException:
+            os.close(self._stop_fd)
+            raise
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
             theirs.close()
@@ -180,7 +183,8 @@ class LoopProcess:
         if code is None:
             self.lose("closed its connection but has not ended")
         if code < 0:
-            self.lose(f"was ended by {signal.Signals(-code).name}")
+            names = {one.value: one.name for one in signal.Signals}
+            self.lose(f"was ended by {names.get(-code, f'signal {-code}')}")
         self.lose(f"has ended with exit code {code}")
 
 

@@ -117,26 +117,46 @@ _KNOWN = ("gripper.errors", "tactile.errors", "cell.errors", "builtins")
 
 class _Pickler(pickle.Pickler):
     def reducer_override(self, value: Any) -> Any:
-        """Send an error by its parts; an error of another class becomes a RuntimeError."""
+        """Send an error by its parts, those that cannot be sent as text.
+
+        An error of another class becomes one of its nearest known class, or a RuntimeError.
+        """
         if not isinstance(value, BaseException):
             return NotImplemented
         kind = type(value)
         if kind.__module__ not in _KNOWN:
             trace = "".join(traceback.format_exception(value))
-            value = RuntimeError(f"{kind.__module__}.{kind.__name__}: {value}")
+            known = next(base for base in kind.__mro__ if base.__module__ in _KNOWN)
+            text = f"{kind.__module__}.{kind.__name__}: {value}"
+            known = RuntimeError if known in (Exception, BaseException) else known
+            value = known.__new__(known, text)
+            value.args = (text,)
             value.add_note(trace)
         args = value.args
         if isinstance(value, OSError) and value.filename is not None:
             # The file name is not among the arguments, but its position is fixed.
             args = (*args[:2], value.filename)
-        return _restored, (type(value), args, value.args), vars(value)
+        state = {name: _sendable(item) for name, item in vars(value).items()}
+        return _restored, (type(value), _sendable(args), _sendable(value.args)), state
 
 
 def _restored(kind: type[BaseException], given: tuple[Any, ...], args: tuple[Any, ...]) -> Any:
     """Return an error; the class's own __init__ may have other arguments than it stores."""
-    error = kind.__new__(kind, *given)
+    # Built-in classes have no other arguments, and set their fields in __init__.
+    error = kind(*given) if kind.__module__ == "builtins" else kind.__new__(kind, *given)
     error.args = args
     return error
+
+
+def _sendable(value: Any) -> Any:
+    """Return a value that can be sent; of another one its text."""
+    if isinstance(value, tuple):
+        return tuple(map(_sendable, value))
+    try:
+        pickle.dumps(value)
+    except Exception:
+        return repr(value)
+    return value
 
 
 def packed(event: HandMessage) -> bytes:

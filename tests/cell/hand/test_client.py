@@ -497,6 +497,7 @@ ERRORS = [
     CellStopped("stopped"),
     FileNotFoundError(2, "No such file", "/dev/nothing"),
     KeyError("x"),
+    UnicodeDecodeError("utf-8", b"\xff", 0, 1, "invalid start byte"),
 ]
 
 
@@ -524,6 +525,14 @@ def test_an_error_of_nobodys_tree_is_named_and_its_origin_kept() -> None:
     assert type(got) is RuntimeError
     assert "Strange: odd" in str(got)
     assert "raise Strange" in got.__notes__[0]
+
+    class BoardSilent(LinkFault):  # of a sensor plugin: it keeps its fault number
+        pass
+
+    silent = BoardSilent("no bytes", threading.Lock())
+    assert type(got := crossed(silent)) is LinkFault
+    assert "BoardSilent: ('no bytes', <unlocked" in str(got)
+    assert "unlocked" in str(crossed(ValueError(threading.Lock())))
 
 
 # -- The server ------------------------------------------------------------------------------------
