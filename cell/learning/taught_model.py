@@ -153,6 +153,8 @@ class TaughtModel:
         if (grid := self.drift) is not None and grid.likely:
             drift = grid.drift
             grasps = [g if g.zero is not None else drift.undo(g) for g in grasps]
+            # The grasps are as before the drift, but of today: the drift belongs to the model now.
+            self._with_grid(grid.with_unnamed_as_gauge())
         self.training_set += tuple(grasps)
 
     def train(self, needed: str = "") -> list[str]:
@@ -283,9 +285,9 @@ class TaughtModel:
         return taught.grid.drift, recognizer.grid.drift
 
     def forget_drift(self) -> None:
-        """Reset the followed drift, e.g. after work on the sensors."""
-        if (grid := self.drift) is not None:
-            self._with_grid(grid.without_unnamed())
+        """Reset the drift, also that of a gauge, e.g. after work on the sensors."""
+        if isinstance(recognizer := self._trained and self._trained.recognizer, DriftFollowing):
+            self._with_grid(recognizer.without_gauges().grid)
         self._drift_remarked = False
 
     def remark_on(self, records: Sequence[GraspRecord]) -> str:

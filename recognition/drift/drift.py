@@ -110,6 +110,8 @@ _POWER = 0.2
 """Power of the likelihood of an unnamed grasp."""
 _MEMORY = 0.99
 """Share of the evidence of unnamed grasps kept after a further one, because drifts change."""
+_LASTS_MS = 12 * 3_600_000
+"""Time in ms after its newest grasp for which a drift without a new self-zero counts: a shift."""
 _PLACING_LOG_GAIN = 0.1
 """Standard deviation of the logarithm of the load of one object between placings."""
 _LIKELY = 0.9
@@ -148,6 +150,8 @@ class DriftGrid(ArrayRecord):
     n_gauged: int = 0
     n_followed: int = 0
     """Number of gauges and of unnamed grasps."""
+    newest_ms: int | None = None
+    """Time of the newest grasp of them; None without one."""
 
     def __post_init__(self) -> None:
         shape = len(self.log_gains), len(self.offsets_mm)
@@ -205,6 +209,12 @@ class DriftGrid(ArrayRecord):
         """Return the grid after an unnamed grasp; (G, O) or (G, 1), as `with_gauge`."""
         followed = _MEMORY * self.followed + _POWER * (log_likelihood - log_likelihood.max())
         return replace(self, followed=followed, n_followed=self.n_followed + 1)
+
+    def at(self, start_ms: int) -> Self:
+        """Return the grid for a grasp at a time: a shift after its newest one it is empty."""
+        if self.newest_ms is None or abs(start_ms - self.newest_ms) <= _LASTS_MS:
+            return self
+        return replace(self, gauged=np.zeros(()), n_gauged=0, newest_ms=None).without_unnamed()
 
     def without_unnamed(self) -> Self:
         """Return the grid without the unnamed grasps."""

@@ -175,7 +175,8 @@ class ForceRampRecognizer(TaughtRecord):
         view = next((e.view for e in touched if e.view is self.both), touched[0].view)
         each = [e.log_likelihood[..., e.classes == number] for e in touched if e.view is view]
         total = np.sum(each, axis=0)[..., 0]
-        return self.with_grid(self.grid_at(grasps[0]).with_gauge(total, view.placing_mm))
+        grid = self.grid_at(grasps[0]).with_gauge(total, view.placing_mm)
+        return self.with_grid(replace(grid, newest_ms=grasps[-1].start_ms))
 
     def without_gauges(self) -> Self:
         """Return a copy with the prior of the drift alone."""
@@ -189,13 +190,14 @@ class ForceRampRecognizer(TaughtRecord):
         evidence = self.evidence(grasp)
         if evidence is None:
             return self
-        return self.with_grid(self.grid_at(grasp).with_unnamed(evidence.of_any()))
+        grid = self.grid_at(grasp).with_unnamed(evidence.of_any())
+        return self.with_grid(replace(grid, newest_ms=grasp.start_ms))
 
     def grid_at(self, grasp: Grasp) -> DriftGrid:
         """Return the drift at a grasp: a new self-zero gives a new prior, its end any drift."""
         zero = None if self.zero is None else grasp.zero
         if zero == self.grid.zero:
-            return self.grid
+            return self.grid.at(grasp.start_ms)
         if self.zero is None or zero is None:
             return DriftGrid()
         return DriftGrid(prior=prior_since(self.zero, zero), zero=zero)
