@@ -111,7 +111,7 @@ _POWER = 0.2
 _MEMORY = 0.99
 """Share of the evidence of unnamed grasps kept after a further one, because drifts change."""
 _LASTS_MS = 12 * 3_600_000
-"""Time in ms after its newest grasp for which a drift without a new self-zero counts: a shift."""
+"""Time in ms after the newest grasp for which gauges count without a new self-zero: a shift."""
 _PLACING_LOG_GAIN = 0.1
 """Standard deviation of the logarithm of the load of one object between placings."""
 _LIKELY = 0.9
@@ -211,10 +211,10 @@ class DriftGrid(ArrayRecord):
         return replace(self, followed=followed, n_followed=self.n_followed + 1)
 
     def at(self, start_ms: int) -> Self:
-        """Return the grid for a grasp at a time: a shift after its newest one it is empty."""
+        """Return the grid for a grasp at a time: gauges count for a shift after its newest one."""
         if self.newest_ms is None or abs(start_ms - self.newest_ms) <= _LASTS_MS:
             return self
-        return replace(self, gauged=np.zeros(()), n_gauged=0, newest_ms=None).without_unnamed()
+        return replace(self, gauged=np.zeros(()), n_gauged=0)
 
     def without_unnamed(self) -> Self:
         """Return the grid without the unnamed grasps."""

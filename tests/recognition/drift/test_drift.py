@@ -495,8 +495,9 @@ def test_what_was_taught_without_a_self_zero_leaves_all_without(train, fresh) ->
     some = make_trainer("force_ramp").fit([*two[:1], *zeroed[1:]])
     assert some.zero is None
     assert some.grid_at(replace(fresh[0], zero=NO_DRIFT)) is some.grid
-    # A drift without a self-zero counts for a shift.
+    # Gauges without a self-zero count for a shift; what was followed goes on.
     gauged = some.gauge("bar", [g for g in fresh if g.label == "bar"][:2]).follow(fresh[0])
     late = replace(fresh[0], start_ms=fresh[0].start_ms + 13 * 3_600_000)
     assert (gauged.grid.n_gauged, gauged.grid_at(fresh[1])) == (1, gauged.grid)
-    assert np.array_equal(gauged.grid_at(late).weight, DriftGrid().weight)
+    assert (gauged.grid_at(late).n_gauged, gauged.grid_at(late).n_followed) == (0, 1)
+    assert not gauged.grid_at(late).gauged.any()
