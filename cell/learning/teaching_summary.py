@@ -30,7 +30,7 @@ def teaching_notes(grasps: Sequence[Grasp]) -> tuple[str, ...]:
     Raises ValueError if a grasp has no label.
     """
     members = by_label(grasps)
-    notes = _amount_note(members), _series_note(members), _zero_note(grasps), _opening_note(members)
+    notes = _amount_note(members), _series_note(members), zero_note(grasps), _opening_note(members)
     return tuple(note for note in notes if note)
 
 
@@ -77,7 +77,8 @@ def _series_note(members: Mapping[str, Sequence[Grasp]]) -> str:
     return ""
 
 
-def _zero_note(grasps: Sequence[Grasp]) -> str:
+def zero_note(grasps: Sequence[Grasp]) -> str:
+    """Return a note where some grasps have a self-zero and some have none; else ""."""
     without = sum(grasp.zero is None for grasp in grasps)
     if without in (0, len(grasps)):
         return ""

@@ -21,6 +21,7 @@ from cell.control.zeroing import zero_text
 from cell.errors import CellError, ConfigError, ModelError, NoPartFound, raised_as
 from cell.learning.parallel import one_blas_thread
 from cell.learning.taught_model import TaughtModel, training_set_file
+from cell.learning.teaching_summary import zero_note
 from cell.runtime.goals import (
     GaugeGoal,
     GripGoal,
@@ -305,7 +306,7 @@ class Tasks:
         apart = self.model.told_apart(goal.label)
         n_grasps = self.model.objects()[goal.label][0]
         taught = {"label": goal.label, "n_grasps": n_grasps, "left_out": left_out} | asdict(apart)
-        report(values | {"taught": taught})
+        report(values | {"taught": taught | {"zero_note": zero_note(self.model.training_set)}})
         try:
             self.file.write()
         except CellError as error:

@@ -183,7 +183,9 @@ class DriftGrid(ArrayRecord):
         log_weight = np.log(np.maximum(weight, 1e-300)) + self.gauged + self.followed
         return np.asarray(log_weight - logsumexp(log_weight), dtype=np.float64)
 
-    def with_gauge(self, log_likelihood: NDArray[np.float64], placing_mm: float) -> Self:
+    def with_gauge(
+        self, log_likelihood: NDArray[np.float64], placing_mm: float, at_ms: int
+    ) -> Self:
         """Return the grid after grasps of one known object.
 
         Parameters
@@ -192,6 +194,8 @@ class DriftGrid(ArrayRecord):
             Of the grasps under each hypothesis.
         placing_mm
             Standard deviation of the opening on one object between placings in mm.
+        at_ms
+            Time of the newest grasp.
         """
         shape = (len(self.log_gains), len(self.offsets_mm))
         total = np.broadcast_to(log_likelihood, shape)
@@ -203,12 +207,14 @@ class DriftGrid(ArrayRecord):
             blur = blur - logsumexp(blur, axis=1, keepdims=True)
             total = logsumexp(np.expand_dims(np.moveaxis(total, axis, -1), -2) + blur, axis=-1)
             total = np.moveaxis(total, -1, axis)
-        return replace(self, gauged=self.gauged + total - total.max(), n_gauged=self.n_gauged + 1)
+        gauged = self.gauged + total - total.max()
+        return replace(self, gauged=gauged, n_gauged=self.n_gauged + 1, newest_ms=at_ms)
 
-    def with_unnamed(self, log_likelihood: NDArray[np.float64]) -> Self:
-        """Return the grid after an unnamed grasp; (G, O) or (G, 1), as `with_gauge`."""
+    def with_unnamed(self, log_likelihood: NDArray[np.float64], at_ms: int) -> Self:
+        """Return the grid after an unnamed grasp; arguments as `with_gauge`."""
         followed = _MEMORY * self.followed + _POWER * (log_likelihood - log_likelihood.max())
-        return replace(self, followed=followed, n_followed=self.n_followed + 1)
+        n_followed = self.n_followed + 1
+        return replace(self, followed=followed, n_followed=n_followed, newest_ms=at_ms)
 
     def at(self, start_ms: int) -> Self:
         """Return the grid for a grasp at a time: gauges count for a shift after its newest one."""

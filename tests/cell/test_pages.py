@@ -69,10 +69,8 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
     """Go to the folder of a simulated cell with a model."""
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    config = small_config(name="press 4")
-    Path("tactile-cell.yaml").write_text(config_text(config))
-    model = Path(taught.result.model)
-    Path("parts.model.npz").write_bytes(model.read_bytes())
+    Path("tactile-cell.yaml").write_text(config_text(small_config(name="press 4")))
+    Path("parts.model.npz").write_bytes(Path(taught.result.model).read_bytes())
     return Path.cwd()
 
 

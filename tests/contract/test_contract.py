@@ -400,8 +400,7 @@ def test_a_damaged_packet_is_refused_or_ignored_and_never_carried_out(servos: An
 def test_stuffed_parameters_are_understood(servos: Any) -> None:
     # A read of 00FD bytes from address FFFF: its parameters FF FF FD 00 travel as FF FF FD FD 00.
     # A servo that did not remove the stuffing would read from elsewhere, or stay silent.
-    answer = servos.exchange(READ, b"\xff\xff\xfd\xfd\x00")
-    assert error_of(answer) != 0
+    assert error_of(servos.exchange(READ, b"\xff\xff\xfd\xfd\x00")) != 0
     assert servos.bus.read(servos.one, table.MODEL_NUMBER)
 
 
@@ -502,15 +501,13 @@ def test_without_sync_no_frame_comes(unit) -> None:
 def test_a_reset_is_told_by_a_boot_up_and_ends_pre_operational(unit) -> None:
     unit.send(0, bytes((1, unit.node_id)))
     unit.reset()  # fails without a boot-up
-    answer = unit.sdo(request(WRITE_2, 0x1017, 0, 50))
-    assert answer[0] == WRITTEN
+    assert unit.sdo(request(WRITE_2, 0x1017, 0, 50))[0] == WRITTEN
     assert unit.receive(0x700 + unit.node_id)[1] == bytes([PRE_OPERATIONAL])
 
 
 def test_the_heartbeat_comes_as_often_as_it_is_set(unit) -> None:
     node, period_s = unit.node_id, 0.1
-    answer = unit.sdo(request(WRITE_2, 0x1017, 0, round(1000 * period_s)))
-    assert answer[0] == WRITTEN
+    assert unit.sdo(request(WRITE_2, 0x1017, 0, round(1000 * period_s)))[0] == WRITTEN
     beats = [unit.receive(0x700 + node, 2.0) for _ in range(6)]
     assert all(beat is not None for beat in beats)
     gaps_s = [b[0] - a[0] for a, b in pairwise(beats[1:])]

@@ -46,8 +46,7 @@ def test_one_grasp_from_start_to_close(make_cell, n_servos: int, zero_raw: int) 
     cell = make_cell(n_servos=n_servos, zero_raw=zero_raw)
     gripper = cell.gripper
     gripper.start()
-    opened = gripper.open()
-    assert opened.aperture_m == pytest.approx(0.03, abs=0.0008)
+    assert gripper.open().aperture_m == pytest.approx(0.03, abs=0.0008)
     assert gripper.phase is GripperPhase.IDLE
     assert cell.register(0, "bus_watchdog") == 10
     cycles: list[Cycle] = []
@@ -197,8 +196,7 @@ def test_without_ticks_and_without_a_part_the_next_command_restarts_the_watchdog
     started.clock.sleep(1.0)
     assert started.register(0, "bus_watchdog") == -1
     started.gripper.tick()
-    outcome = started.gripper.grasp(RAMP)
-    assert outcome.result is GraspResult.FORCE_REACHED
+    assert started.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
 
 
 SERVO = ServoSettings(servo_id=1)

@@ -259,8 +259,7 @@ def test_both_links_have_the_same_devices_behind_them(
 
 def test_bytes_and_transactions_share_the_line(servo_bus, servo_stream) -> None:
     servo_stream.write(b"\xff\xff\xfd\x00\x01\x03\x00\x01\x19\x4e")  # a ping, from the manual
-    answer = servo_stream.read(64, 0.05)
-    assert answer[:5] == b"\xff\xff\xfd\x00\x01"
+    assert servo_stream.read(64, 0.05)[:5] == b"\xff\xff\xfd\x00\x01"
     assert servo_bus.statistics.transactions == 0
 
 
@@ -422,8 +421,7 @@ def test_a_process_does_not_outlive_a_test_run_that_is_killed(pytester) -> None:
             os.kill(os.getpid(), signal.SIGKILL)
         """
     )
-    result = pytester.runpytest_subprocess("-p", "no:cacheprovider")
-    assert result.ret == -9
+    assert pytester.runpytest_subprocess("-p", "no:cacheprovider").ret == -9
     pid, end_s = int((pytester.path / "pid").read_text()), time.monotonic() + 10.0
     while not gone(pid) and time.monotonic() < end_s:
         time.sleep(0.02)

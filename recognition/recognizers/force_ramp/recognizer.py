@@ -175,8 +175,8 @@ class ForceRampRecognizer(TaughtRecord):
         view = next((e.view for e in touched if e.view is self.both), touched[0].view)
         each = [e.log_likelihood[..., e.classes == number] for e in touched if e.view is view]
         total = np.sum(each, axis=0)[..., 0]
-        grid = self.grid_at(grasps[0]).with_gauge(total, view.placing_mm)
-        return self.with_grid(replace(grid, newest_ms=grasps[-1].start_ms))
+        at_ms, grid = grasps[-1].start_ms, self.grid_at(grasps[0])
+        return self.with_grid(grid.with_gauge(total, view.placing_mm, at_ms))
 
     def without_gauges(self) -> Self:
         """Return a copy with the prior of the drift alone."""
@@ -190,8 +190,8 @@ class ForceRampRecognizer(TaughtRecord):
         evidence = self.evidence(grasp)
         if evidence is None:
             return self
-        grid = self.grid_at(grasp).with_unnamed(evidence.of_any())
-        return self.with_grid(replace(grid, newest_ms=grasp.start_ms))
+        grid = self.grid_at(grasp).with_unnamed(evidence.of_any(), grasp.start_ms)
+        return self.with_grid(grid)
 
     def grid_at(self, grasp: Grasp) -> DriftGrid:
         """Return the drift at a grasp: a new self-zero gives a new prior, its end any drift."""

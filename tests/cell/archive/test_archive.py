@@ -110,8 +110,7 @@ def test_a_data_set_comes_back_as_it_was(tmp_path) -> None:
     bare = Grasp(pads=PADS, counts=np.zeros((1, PADS.n_taxels)), t_s=[0.0])
     write_dataset(tmp_path / "a.npz", [Grasp(**rich), bare])
     target = str(tmp_path / "archive [old] *")
-    done = add(target, [tmp_path / "a.npz"], cell="press/3")
-    assert done.n_grasps == 2
+    assert add(target, [tmp_path / "a.npz"], cell="press/3").n_grasps == 2
     before = sorted(read_dataset(tmp_path / "a.npz"), key=lambda grasp: grasp.start_ms)
     after = sorted(Archive(target).grasps(), key=lambda grasp: grasp.start_ms)
     assert same_grasps(before, after, but=["source"])

@@ -132,8 +132,7 @@ def test_the_steps_measure_the_simulated_servo(tmp_path: Path, model: str) -> No
 
 
 def test_silence(tmp_path: Path) -> None:
-    bench = SimulatedBench()
-    values = measured(bench, tmp_path, "watchdog")
+    values = measured(SimulatedBench(), tmp_path, "watchdog")
     assert values["bus_watchdog_after_silence"] == -1
     assert values["torque_enable_after_silence"] == 1
     assert 0.0 < values["held_share"] <= 1.2

@@ -159,8 +159,7 @@ def test_a_refused_command_changes_nothing_and_an_accepted_one_goes_the_way_of_t
         assert (walk.bench.grip_n == 0.0) if released else (walk.bench.grip_n > LEAST_N)
     path = command_path(state, command)
     if state.acting and not path:
-        ends = next_state(state, COMPLETIONS[state])
-        path = (ends,)
+        path = (next_state(state, COMPLETIONS[state]),)
     way = [state, *path]
     assert walk.controller.life.state is way[-1]
     way += command_path(walk.controller.life.state, Command.SHUTDOWN)

@@ -502,8 +502,7 @@ ERRORS = [
 
 
 def crossed(error: BaseException) -> BaseException:
-    event = pickle.loads(packed(HandFault(error=error, phase=GripperPhase.OFF)))
-    return event.error
+    return pickle.loads(packed(HandFault(error=error, phase=GripperPhase.OFF))).error
 
 
 @pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)

@@ -92,8 +92,7 @@ def test_what_the_page_types_prints_writes_and_packs(tmp_path, monkeypatch) -> N
     assert files_in(image) == WRITTEN
     for name in WRITTEN:
         assert (image / name).read_text().strip() in printed
-    again = call(*applied, "--root", image)
-    assert again.count("already up to date") == 3
+    assert call(*applied, "--root", image).count("already up to date") == 3
     call(*support)
     assert (tmp_path / "bundle.zip").exists()
 

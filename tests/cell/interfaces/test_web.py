@@ -256,8 +256,7 @@ def test_a_trainer_exchanges_the_part_and_an_own_name_is_taught(connect) -> None
 
 def test_the_view_only_link_reads_and_gives_no_command(served, host) -> None:
     interfaces = served.interfaces
-    view = {"http_port": host.port, "token": interfaces["view_token"]}
-    watcher = Client(view)
+    watcher = Client({"http_port": host.port, "token": interfaces["view_token"]})
     told = watcher.get("/api/access")
     assert told["address"] == f"http://127.0.0.1:{host.port}/#token={interfaces['view_token']}"
     assert (told["commands"], host.get("/api/access")["commands"]) == (False, True)

@@ -140,8 +140,7 @@ def record(path: Path, n_grasps: int = 3) -> list[Grasp]:
         likely = Posterior(
             labels=("object 0", "object 1"), probability=np.array([0.003, 0.997]), unknown=0.01
         )
-        answer = make_identification(likely, shape=BAR, shapes=(BAR, None))
-        journal.result(answer)
+        journal.result(make_identification(likely, shape=BAR, shapes=(BAR, None)))
     return grasps
 
 

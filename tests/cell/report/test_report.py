@@ -199,8 +199,7 @@ def test_many_labels_make_a_dense_table_and_few_sequences() -> None:
         for answer in (truth, "object 1", "object 0")
     ]
     # Two of each object, the wrong ones first.
-    drawn = drawn_answers(answers)
-    verdicts = [one.verdict for one in drawn]
+    verdicts = [one.verdict for one in drawn_answers(answers)]
     assert (verdicts.count("wrong"), verdicts.count("right")) == (70, 2)
     others = [replace(one, held=f"another {one.held}") for one in answers]
     assert len(drawn_answers([*answers, *others])) == MAX_SEQUENCES

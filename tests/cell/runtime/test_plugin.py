@@ -46,6 +46,7 @@ from cell.runtime.plugin import TactileCellPlugin
 from cell.runtime.tasks import Places, SortAnswer
 from cell.runtime.worker import JOB_SILENT_S, CellWorker, Job, JobFailed, JobOutcome, Report
 from gripper.errors import ServoFault, VerificationFailed
+from recognition.grasp import SelfZero
 from recognition.recognizer import UNKNOWN
 from tactile.errors import NodeMissing, ZeroDrifted
 from tests import blocks
@@ -74,12 +75,15 @@ def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(make_plugin: Any)
         done(plugin, TeachGoal(label="pin", grasps=1, present="ball"))
     assert failed.value.fault_number == 519
     assert (plugin.labels, plugin.status().state) == ((), "IDLE")
+    plugin.cell.controller.zeros.keep(SelfZero.from_values([1e-4, 1e-4, 0.1, 0.02, 8.0, 0.2]))
     job = plugin.start(TeachGoal(label="pin", grasps=2, present="ball", seed=1))
     assert plugin.result(job, LIMIT_S) == 2
     progress = dict(plugin.feedback(job).progress)
     each = progress.pop("each")
     assert [one["force_n"] > 1.0 and 5.0 < one["size_mm"] < 18.0 for one in each] == [True] * 2
-    assert progress.pop("taught").items() >= {"label": "pin", "n_grasps": 3}.items()
+    taught = progress.pop("taught")
+    assert taught.items() >= {"label": "pin", "n_grasps": 3}.items()
+    assert "1 of 3 grasps have no self-zero" in taught["zero_note"]
     expected = {"task": "teach", "label": "pin", "grasps": 2, "missed": 0, "of": 2, "unreached": ""}
     assert progress == expected
     assert plugin.labels == ("pin",)
@@ -409,8 +413,7 @@ def test_a_teaching_that_was_stopped_adds_its_grasps(make_plugin, taught, tmp_pa
     grasps = read_dataset(file)
     assert len(grasps) >= 12
     write_dataset(file, [*grasps, grasps[0]])
-    again = make_plugin(model=path)
-    assert done(again, TeachGoal(label="box", grasps=1)) == 1
+    assert done(make_plugin(model=path), TeachGoal(label="box", grasps=1)) == 1
     write_dataset(file, [grasps[-1], *grasps])
     with pytest.raises(ModelError, match="was trained with another training set"):
         make_plugin(model=path)

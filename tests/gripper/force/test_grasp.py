@@ -55,8 +55,7 @@ def test_a_request_between_grasps_or_after_the_ramp_is_not_kept(started) -> None
             if cycle.t_s - settling_s[0] > 0.3:
                 started.gripper.end_ramp()
 
-    outcome = started.gripper.grasp(LINEAR, when_it_is_over)
-    assert not outcome.ended_early
+    assert not started.gripper.grasp(LINEAR, when_it_is_over).ended_early
     assert started.force_n == pytest.approx(8.0, rel=0.1)
     started.gripper.end_ramp()
     started.gripper.release()

@@ -167,8 +167,7 @@ def test_pads_and_motor_constant_disagree_beyond_the_spread_of_the_model() -> No
     for times, disagrees in ((1.3, False), (1.4, True), (0.7, True)):
         drive = replace(CATALOGUE, rising_a_nm=times * CATALOGUE.rising_a_nm, load_sd=0.02)
         assert drive.disagreement(MODEL) == pytest.approx(1.0 / times if disagrees else 1.0)
-        unsure = replace(drive, load_sd=0.2)
-        assert unsure.disagreement(MODEL) == 1.0
+        assert replace(drive, load_sd=0.2).disagreement(MODEL) == 1.0
     # The pads may be wrong: the cap goes by what makes more force.
     weak_pads = replace(CATALOGUE, rising_a_nm=1.4 * CATALOGUE.rising_a_nm, load_sd=0.02)
     assert weak_pads.most_torque_nm_a == CATALOGUE.kt_nm_a

@@ -175,8 +175,7 @@ def test_fingers_that_press_keep_a_speed_that_goes_by_no_pad() -> None:
     writer.note_force(ForceSample(t_s=0.0, force_n=(0.6, 0.6)))
     state = standing(velocity_rad_s=-0.025 / 0.06)
     asked = [ServoGoal(angle_rad=0.05, current_a=0.2, setpoint_n=6.0)] * 2
-    braked = writer.bounded(asked, state)
-    assert all(goal.angle_rad >= 0.1 for goal in braked)
+    assert all(goal.angle_rad >= 0.1 for goal in writer.bounded(asked, state))
     slow = standing(velocity_rad_s=-0.012 / 0.06)
     assert writer.bounded(asked, slow) == tuple(asked)
 

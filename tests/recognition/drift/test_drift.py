@@ -64,36 +64,36 @@ def test_a_narrow_prior_has_few_hypotheses_about_its_mean():
 
 def test_a_learnt_spread_reports_only_a_drift_beyond_it():
     grid = DriftGrid(prior=DriftPrior(log_gain_sd=0.05, offset_sd_mm=0.5, unchanged=0.0))
-    assert not grid.with_unnamed(evidence(grid, 0.0, 0.1)).likely
+    assert not grid.with_unnamed(evidence(grid, 0.0, 0.1), 0).likely
     for _ in range(20):
-        grid = grid.with_unnamed(evidence(grid, 0.0, 1.0))
+        grid = grid.with_unnamed(evidence(grid, 0.0, 1.0), 0)
     assert grid.likely
 
 
 def test_a_gauge_counts_less_than_its_grasps_by_how_objects_are_placed():
     grid = DriftGrid()
     likelihood = evidence(grid, np.log(0.7), -4.0, (0.02, 0.2))
-    sharp, blurred = grid.with_gauge(likelihood, 0.1), grid.with_gauge(likelihood, 2.0)
+    sharp, blurred = grid.with_gauge(likelihood, 0.1, 0), grid.with_gauge(likelihood, 2.0, 0)
     assert sharp.drift.aperture_offset_m == pytest.approx(-4e-3, abs=0.3e-3)
     assert blurred.offset_sd_m > 2.0 * sharp.offset_sd_m
-    assert blurred.with_gauge(likelihood, 2.0).offset_sd_m < blurred.offset_sd_m
+    assert blurred.with_gauge(likelihood, 2.0, 0).offset_sd_m < blurred.offset_sd_m
 
 
 def test_unnamed_grasps_show_a_drift_together_and_are_forgotten_in_time():
     grid = DriftGrid()
     for _ in range(20):
-        grid = grid.with_unnamed(evidence(grid, np.log(0.7), -4.0, (0.3, 2.0)))
+        grid = grid.with_unnamed(evidence(grid, np.log(0.7), -4.0, (0.3, 2.0)), 0)
     assert grid.likely
     assert grid.drift.aperture_offset_m == pytest.approx(-4e-3, abs=0.5e-3)
     for _ in range(80):
-        grid = grid.with_unnamed(evidence(grid, 0.0, 0.0, (0.3, 2.0)))
+        grid = grid.with_unnamed(evidence(grid, 0.0, 0.0, (0.3, 2.0)), 0)
     assert abs(grid.drift.aperture_offset_m) < 1e-3
     assert grid.without_unnamed().weight == pytest.approx(DriftGrid().weight)
 
 
 def test_it_comes_back_from_arrays_without_what_was_followed():
-    grid = DriftGrid().with_gauge(evidence(DriftGrid(), -0.3, 2.0), 0.5)
-    again = DriftGrid.from_arrays(grid.with_unnamed(evidence(grid, 0.3, -2.0)).to_arrays())
+    grid = DriftGrid().with_gauge(evidence(DriftGrid(), -0.3, 2.0), 0.5, 0)
+    again = DriftGrid.from_arrays(grid.with_unnamed(evidence(grid, 0.3, -2.0), 0).to_arrays())
     assert np.array_equal(again.weight, grid.weight)
     assert again.values == grid.values
     broken = {**grid.to_arrays(), "gauged": np.zeros((3, 4))}
@@ -125,8 +125,7 @@ def test_the_spread_that_was_made_is_found() -> None:
 
 def test_few_days_leave_most_to_the_usual_spread_and_one_day_shows_none() -> None:
     grasps, groups = days(0.0, 0.0, 2)
-    prior = learn_spread(grasps, groups)
-    assert 1.0 < prior.offset_sd_mm < DriftPrior().offset_sd_mm
+    assert 1.0 < learn_spread(grasps, groups).offset_sd_mm < DriftPrior().offset_sd_mm
     assert learn_spread(grasps, ["0"] * len(grasps)) is None
     others = [f"{group} {grasp.label}" for group, grasp in zip(groups, grasps, strict=True)]
     apart = [g if g.endswith("ball") else "0" for g in others]
@@ -153,8 +152,7 @@ def test_applied_it_scales_clips_and_moves_and_undone_it_is_gone(fresh):
     back = DRIFT.undo(drifted)
     assert np.abs(back.counts.astype(int) - grasp.counts).max() <= 1
     assert back.aperture_m == pytest.approx(grasp.aperture_m)
-    loud = Drift(gains=(5.0,)).apply(grasp)
-    assert loud.counts.max() == grasp.pads.adc_max
+    assert Drift(gains=(5.0,)).apply(grasp).counts.max() == grasp.pads.adc_max
 
 
 def test_each_pad_has_a_gain_of_its_own(fresh):
@@ -465,8 +463,7 @@ def test_grasps_of_several_sessions_teach_as_of_one(train, fresh) -> None:
         for i, g in enumerate(train)
     ]
     taught = make_trainer("force_ramp").fit(half)
-    told = [replace(g, zero=NO_DRIFT) for g in fresh]
-    assert named(taught, told) > 0.8
+    assert named(taught, [replace(g, zero=NO_DRIFT) for g in fresh]) > 0.8
 
 
 @pytest.mark.slow

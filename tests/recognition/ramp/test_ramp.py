@@ -104,8 +104,7 @@ def test_a_ramp_of_a_cell_has_the_same_levels_at_any_rate(train):
     command_n = np.r_[np.zeros(before), np.linspace(0.5, 6.0, whole.n_frames - before)]
     at_once = dataclasses.replace(whole, force_n=command_n, source="cell one")
     frames = np.r_[0:before, np.repeat(np.arange(before, whole.n_frames), 4)]
-    slow = part(at_once, frames)
-    fast, slowly = (load_levels([g], rest) for g in (at_once, slow))
+    fast, slowly = (load_levels([g], rest) for g in (at_once, part(at_once, frames)))
     assert fast.touch_aperture_mm == pytest.approx(1e3 * whole.aperture_m[before])
     assert slowly.touch_aperture_mm == pytest.approx(fast.touch_aperture_mm)
     grids = [pad_grid(whole.pads, pad) for pad in rest.gripping]

@@ -139,10 +139,8 @@ def test_the_level_is_a_quarter_over_the_fitted_peak_in_counts_of_255(pads, rng)
 
 
 def test_frames_near_the_full_force_or_load(rng):
-    grasp = _grasp(PINCH, 0.5, rng)
-    assert frames_at(grasp).tolist() == list(range(25, 38))
-    without = _grasp(PINCH, 0.5, rng, force=False)
-    assert set(frames_at(without)) >= set(range(28, 37))
+    assert frames_at(_grasp(PINCH, 0.5, rng)).tolist() == list(range(25, 38))
+    assert set(frames_at(_grasp(PINCH, 0.5, rng, force=False))) >= set(range(28, 37))
 
 
 def test_a_fixed_force_that_was_not_reached_is_refused():

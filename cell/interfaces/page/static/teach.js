@@ -39,7 +39,7 @@ export function renderTeach(view) {
     renew(byId("teach_each"), each, () => each.map((one, i) => make("li", { value: i + 1 },
       ...[number(i + 1), newtons(one.force_n), millimetres(one.opening_mm), one.size_mm ? `⌀ ${millimetres(one.size_mm)}` : ""]
         .map((text) => make("span", {}, text)))).reverse());
-    setText(byId("teach_end"), runs(job) ? "" : job.progress.taught ? result(job.progress.taught)
+    setText(byId("teach_end"), runs(job) ? "" : job.progress.taught ? `${result(job.progress.taught)} ${job.progress.taught.zero_note ? t("teach.zero") : ""}`
       : job.outcome === "SUCCEEDED" ? t("teach.done") : t(`teach.${job.outcome}`, { reason: faultText({ number: job.fault_number, text: job.error }) }));
   }
   renew(byId("teach_names"), taught.map((one) => one.label), () => taught.map((one) => make("option", { value: one.label })));

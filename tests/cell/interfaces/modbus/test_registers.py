@@ -222,8 +222,7 @@ def test_function_23_writes_then_reads_or_does_neither(connect) -> None:
 
     written = [GRIP, 0, 300, 0, 0, 0, 0, plc.seq + 1]
     assert write_and_read(0, *written).registers[1:9] == written
-    answer = write_and_read(5, RELEASE, 0, 0, 0, 0, RELEASE_KEY, 0, 9)
-    assert answer.exception_code == 2
+    assert write_and_read(5, RELEASE, 0, 0, 0, 0, RELEASE_KEY, 0, 9).exception_code == 2
     assert (plc.inputs()[5], served.grip_n > 1.0) == (1, True)
 
 

@@ -291,8 +291,7 @@ def test_the_cell_is_gauged_with_a_taught_object(open_page, cell) -> None:
     until(lambda: cell.asked)
     assert cell.asked == [("gauge", {"label": "nut"})]
     before, after = {"gain": 1.01, "opening_mm": 0.0}, {"gain": 0.71, "opening_mm": -3.9}
-    gauged = {"label": "nut", "before": before, "after": after}
-    cell.plugin.report(gauged=gauged)
+    cell.plugin.report(gauged={"label": "nut", "before": before, "after": after})
     cell.plugin.levels["drift"] = {"level": "watch"} | after
     cell.plugin.go_on()
     becomes(page, "#gauge_end", "from 1\u00a0%, 0.0\u00a0mm to -29\u00a0%, -3.9\u00a0mm")
@@ -315,9 +314,10 @@ def test_an_object_is_taught_and_forgotten(open_page, cell) -> None:
     becomes(page, "#do_teach, #teach_start", "a job runs")
 
     nearest = {"label": "washer", "n_grasps": 10, "nearest": "nut", "mistaken_share": 0.12}
-    cell.plugin.report(taught=nearest)
+    cell.plugin.report(taught=nearest | {"zero_note": "4 of 10 grasps"})
     cell.plugin.go_on()
     becomes(page, "#teach_end", "Similar to nut: 12% would be confused")
+    becomes(page, "#teach_end", "Some grasps have no self-zero")
     page.click("[aria-label='Remove the last grasp of washer']")
     click(page, "#sure_yes", "#taught li:last-child small", "9 grasps")
     page.click("[aria-label='Forget washer']")
