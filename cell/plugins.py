@@ -77,7 +77,7 @@ class Plugins:
                 isinstance(plugin, type) and issubclass(plugin, wanted)
             ):
                 raise TypeError(f"{entry.value} is not a {wanted.__name__}")
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise ConfigError(
                 f"{self.what} {name!r} of {_package(entry)} does not load: "
                 f"{type(error).__name__}: {error}. Install what it needs, or another version"

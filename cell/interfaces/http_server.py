@@ -101,6 +101,7 @@ class HttpServer:
         server = uvicorn.Config(
             self,
             log_config=None,
+            log_level="error",  # it warns of each bad request
             access_log=False,
             lifespan="off",
             http="h11",

@@ -469,6 +469,9 @@ class Glove(SensorConfig):
 
 SERVO = replace(XL330_M288, name="XL330-M077", number=1190)
 SAME = replace(XL330_M288, kt_nm_a=1.0)
+
+def __getattr__(name):
+    raise SystemExit("bye") if name == "EXITS" else AttributeError(name)
 '''
 
 
@@ -550,6 +553,7 @@ def test_a_name_of_two_packages_is_refused(installed: Install) -> None:
     ("entry", "problem"),
     [
         ("Missing", "AttributeError"),
+        ("EXITS", "SystemExit: bye"),
         ("SERVO", "TypeError: some_plugins:SERVO is not a SensorConfig"),
     ],
 )

@@ -221,7 +221,10 @@ def running_cell(
     if json_file is not None:
         with suppress(OSError):  # the answer of an earlier run
             json_file.unlink(missing_ok=True)
-    plugin = TactileCellPlugin(config, folder=folder, ask=ask, note=print_note, start=False, **cell)
+    with removed_if_unused(folder):
+        plugin = TactileCellPlugin(
+            config, folder=folder, ask=ask, note=print_note, start=False, **cell
+        )
     done = False
     try:
         with (
@@ -286,6 +289,18 @@ def job_folder(directory: Path, job: str) -> Path:
             ) from error
         return folder
     raise CellError(f"{directory} has 100 folders of {job}-{stamp}; name another folder with --out")
+
+
+@contextmanager
+def removed_if_unused(folder: Path | None) -> Iterator[None]:
+    """Remove a job's folder again if the job does not start: a service is started many times."""
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):  # it has a recording
+            if folder is not None:
+                folder.rmdir()
+        raise
 
 
 @contextmanager

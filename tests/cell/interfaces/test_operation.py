@@ -166,7 +166,7 @@ def test_what_the_service_user_cannot_read_is_named(tmp_path, monkeypatch) -> No
     token.chmod(0o600)
     config.write_text(
         f"gripper: {{port: simulated}}\nserve: {{token_file: {token}, secret_file: no-secret}}\n"
-        "recording: {directory: /nowhere}"
+        "recording: {directory: /nowhere}\npositioner: {kind: operator}"
     )
     tmp_path.chmod(0o755)
     assert closed_to_service(config) in (None, *tmp_path.parents)
@@ -185,6 +185,7 @@ def test_what_the_service_user_cannot_read_is_named(tmp_path, monkeypatch) -> No
     assert f"{token}: the user tactile-cell cannot read /" in warned
     assert "chgrp tactile-cell /" in warned
     assert "/var/lib/tactile-cell/no-secret is missing: the service reads it there" in warned
+    assert "positioner.kind is operator, and a service has no terminal" in warned
     assert "cannot write /nowhere (recording.directory): install -d -o tactile-cell" in warned
     # As pathlib does for a group without a name, for example of an image or a network drive.
     monkeypatch.setattr(Path, "group", Mock(side_effect=KeyError("gid not found: 54321")))
@@ -613,6 +614,13 @@ def test_a_taken_port_ends_the_command_before_anything_moves(meddle, tmp_path) -
     assert built[0].controller.life.state == "STOPPED"
     assert not any(servo.torque_on for servo in built[0].simulated.devices.servo_bus.servos)
     assert built[0].simulated.clock.monotonic() < 0.2
+
+
+def test_a_service_that_does_not_start_leaves_no_folder(tmp_path) -> None:
+    (tmp_path / "cell.yaml").write_text(SMALL.format(zero="never", kind="operator"))
+    asked = ["serve", "-c", str(tmp_path / "cell.yaml"), "--http", "0", "--out", str(tmp_path)]
+    assert "no terminal to ask at" in str(CliRunner().invoke(app, asked).exception)
+    assert [path.name for path in tmp_path.iterdir()] == ["cell.yaml"]
 
 
 @pytest.mark.parametrize("file", [False, True])

@@ -25,6 +25,7 @@ from cell.interfaces.cli.session import (
     job_folder,
     model_of_folder,
     release_command,
+    removed_if_unused,
     with_faults,
 )
 from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
@@ -174,15 +175,9 @@ def serve(
     if save is None or training_set is not None:
         model = model_of_folder(model)
     untaught = config is None and model is None and training_set is None
-    service = open_service(
-        checked,
-        model=model,
-        training_set=training_set,
-        save=save,
-        folder=folder,
-        note=print_note,
-        start=False,
-    )
+    files: dict[str, Any] = {"training_set": training_set, "save": save, "folder": folder}
+    with removed_if_unused(folder):
+        service = open_service(checked, model=model, note=print_note, start=False, **files)
 
     def stop() -> None:
         service.plugin.interrupt()  # first, so that each motion stops at once

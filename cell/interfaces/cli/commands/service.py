@@ -378,6 +378,8 @@ def _notes(config: CellConfig, files: Iterable[Path | None]) -> Iterator[str]:
             yield f"{path}: the user {NAME} cannot read {closed}; {advice}"
         elif path in secrets and not path.exists():
             yield f"{path} is missing: the service reads it there"
+    if config.positioner.kind == "operator":
+        yield "positioner.kind is operator, and a service has no terminal: choose callback or axes"
     folder = Path(config.recording.directory)
     if folder.is_absolute() and not (os.path.isdir(folder) and service_may(folder, S_IWOTH)):
         made = f"install -d -o {NAME} -g {NAME} {shlex.quote(str(folder))}"
