@@ -20,7 +20,7 @@ from cell.learning.shape_reading import shape_reader
 from cell.learning.teaching_summary import ToldApart, told_apart
 from cell.learning.training import gaugeable, gauged, train
 from cell.plugins import RECOGNIZERS
-from cell.recording.dataset import read_dataset, write_dataset
+from cell.recording.dataset import read_grasps, write_dataset
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift, DriftFollowing, DriftGrid, drift_text
 from recognition.errors import RecognitionError
@@ -87,16 +87,20 @@ class TaughtModel:
     ) -> Self:
         """Read a model file, and its training set if there is one.
 
-        ``training_set`` is the data set of the grasps that trained it. By default, and with a note
-        instead of a wrong one, it is the file beside it that the model names, if it is unchanged.
+        ``training_set`` has the grasps that trained it, and perhaps others. By default, and with a
+        note instead of a wrong one, it is the file beside it that the model names.
         Raises ModelError or DatasetError if a file cannot be read, or does not fit the config.
         """
         model = load_model(path, pad_array(layout_from_config(config.tactile)))
-        grasps = _saved_training_set(model) if training_set is None else read_dataset(training_set)
+        grasps = _saved_training_set(model) if training_set is None else read_grasps(training_set)
         file = str(model.training_set.get("file"))
         # People change a file that `save` did not write; one of `save` is checked below.
-        of_save = training_set is None and file == training_set_file(model.path).name
-        if not of_save and not _has_trained(model, grasps):
+        of_save = file == training_set_file(model.path).name
+        own = tuple(grasp for grasp in grasps if of_save or grasp.label in model.labels)
+        of_save &= training_set is None
+        if not of_save and own and _has_trained(model, own):
+            grasps = own  # a model may be trained on some objects of a file
+        elif not of_save and not _has_trained(model, grasps):
             if training_set is None:
                 note(f"{file} is no longer what trained {path}: it is not used")
                 grasps = ()
@@ -346,8 +350,8 @@ class TaughtModel:
         path, trained = Path(path), self.check_taught()
         recognizer, training_set = trained.recognizer, trained.training_set
         if grasps := self.training_set:
-            if self._written[0] is not grasps or self._written[1].parent != path.parent:
-                write_dataset(dataset := training_set_file(path), grasps)
+            if self._written != (grasps, dataset := training_set_file(path)):
+                write_dataset(dataset, grasps)
                 self._written = (grasps, dataset)
             training_set = training_set_section(self._written[1], grasps)
         if followed and isinstance(recognizer, DriftFollowing):
@@ -377,7 +381,7 @@ def _saved_training_set(model: LoadedModel) -> tuple[Grasp, ...]:
     """
     name = str(model.training_set.get("file", ""))
     path = model.path.parent / name
-    return read_dataset(path) if Path(name).name == name and os.path.isfile(path) else ()
+    return read_grasps(path) if Path(name).name == name and os.path.isfile(path) else ()
 
 
 def _has_trained(model: LoadedModel, grasps: Sequence[Grasp]) -> bool:

@@ -40,7 +40,7 @@ from recognition.recognizer import Posterior
 from recognition.recognizers import make_trainer
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
 from recognition.statistics.fusion import Decision, DecisionKind, StopRule
-from tests.cell.cells import REAL, SURE, UNSURE, Scripted, plain_grasp, small_config
+from tests.cell.cells import REAL, SURE, UNSURE, Scripted, call, plain_grasp, small_config
 from tests.cell.served import done
 from tests.fuzz.harness import Clock
 from tests.recognition.conftest import OBJECTS, make_grasps
@@ -529,6 +529,22 @@ def test_a_model_that_was_taught_without_a_self_zero_is_named_once(taught, make_
     first, second = (named(bench.controller, model, **goal)[1] for _ in range(2))
     assert "was taught without a self-zero" in first
     assert "without a self-zero" not in second
+
+
+@pytest.mark.parametrize("label", ["ball", "box"])
+@pytest.mark.parametrize("recorded", [False, True])
+def test_a_model_of_some_objects_of_a_file_takes_only_these_from_it(
+    taught, tmp_path, label, recorded
+) -> None:
+    file = tmp_path / ("all.mcap" if recorded else "all.npz")
+    file.write_bytes((taught.result.recording if recorded else taught.result.dataset).read_bytes())
+    call("model", "train", file, "--object", label, "-o", tmp_path / "one.npz")
+    model = TaughtModel.load(taught.config, tmp_path / "one.npz", note=pytest.fail)
+    model.save(tmp_path / "again.npz")
+    model.save(tmp_path / "third.npz")
+    (tmp_path / "again.grasps.npz").unlink()
+    third = TaughtModel.load(taught.config, tmp_path / "third.npz")
+    assert {name: n for name, (n, _) in third.objects().items()} == {label: 5}
 
 
 # -- Ramps that end as soon as the data so far suffice ---------------------------------------------
