@@ -254,9 +254,6 @@ class Gripper:
             )
         with self._life.command("open", observer):
             was_limp = self._make_ready()
-            if was_limp and any(self._servos.feedback.turns.values()):
-                standing = StandStill(self.settings, self._servos.read_patiently())
-                self._runner.run(standing.step, needs_force=False)
             state = self._move_to(target_m, first=was_limp)
             if self.settings.watchdog_self_test and not self._watchdog_proven:
                 state = self._prove_watchdog(target_m)
@@ -678,6 +675,9 @@ class Gripper:
         self._servos.make_ready(
             part_possible=self._life.part_possible, releasing=releasing, limp=limp
         )
+        if limp is not None and any(self._servos.feedback.turns.values()):
+            standing = StandStill(self.settings, self._servos.read_patiently())
+            self._runner.run(standing.step, needs_force=False)
         return limp is not None
 
     def _move_to(

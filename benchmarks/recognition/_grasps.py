@@ -18,6 +18,7 @@ from recognition.evaluation.evaluation import interval_by_object
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Recognizer
 from recognition.recognizers.force_ramp.recognizer import ForceRampRecognizer
+from recognition.statistics.fusion import fuse
 
 
 def cell_grasps(
@@ -58,9 +59,13 @@ class JudgedAnswer(NamedTuple):
     """The likeliest label, and the name that is given: that label or ``UNKNOWN``."""
 
 
-def asked(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[JudgedAnswer]:
-    """Answer each grasp by itself."""
+def asked(recognizer: Recognizer, grasps: Sequence[Grasp], n_fused: int = 1) -> list[JudgedAnswer]:
+    """Answer each grasp by itself, or each ``n_fused`` of one object together."""
     posteriors = [(grasp.label, recognizer.posterior(grasp)) for grasp in grasps]
+    if n_fused > 1:
+        starts = range(0, len(grasps), n_fused)
+        parts = [posteriors[i : i + n_fused] for i in starts]
+        posteriors = [(part[0][0], fuse([one for _, one in part])) for part in parts]
     return [JudgedAnswer(truth, truth in p.labels, p.best, p.name) for truth, p in posteriors]
 
 

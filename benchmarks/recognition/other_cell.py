@@ -93,6 +93,7 @@ def main(effort: float = 1.0) -> None:
         ("other cell, zeroed by itself", zeroed),
     ):
         line(f"  {what}", figures(asked(taught, grasps)))
+    line("  other cell, untold, four fused", figures(asked(taught, untold, 4)))
     answers, day = followed(taught, test)
     line("  followed", figures(answers + asked(day, new)))
     every, groups = [], []

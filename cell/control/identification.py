@@ -235,7 +235,8 @@ class Judge:
         record, answer = self._coming
         posterior, shape, error = answer()
         if record.same_grip:
-            posterior = replace(posterior, dependence=SAME_GRIP_DEPENDENCE)
+            dependence = max(posterior.dependence, SAME_GRIP_DEPENDENCE)
+            posterior = replace(posterior, dependence=dependence)
         self.records.append(record)
         number = len(self.records)
         if error is not None:

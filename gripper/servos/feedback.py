@@ -58,6 +58,8 @@ _ADVICE = (
 _COMPARED_S, _UNSEEN_RAD = 0.1, 0.01
 """Time in s over which the travels of motor and position are compared, and the difference in rad
 beyond their errors that is a contradiction: backlash, time between the readings. [chosen]"""
+_UNSEEN_FREE_RAD = 0.3
+"""The same in a release with free pads: it goes on, but no finger runs to its stop. [chosen]"""
 _PAUSE_S = 0.025
 """Time in s between two readings above which voltage and current between them are unknown: after
 two periods at 100 Hz the motor may have stopped meanwhile. [chosen]"""
@@ -173,7 +175,7 @@ class FeedbackCheck:
         self.motors = {one.servo_id: MotorTravel(one.servo_model) for one in settings.servos}
         """Travel of each servo by its motor."""
         self.letting_go = False
-        """Whether a part is let go, which no contradiction of a position may end."""
+        """Whether a part is let go. While the pads are loaded no contradiction may end it."""
         self._settings, self._linkage = settings, linkage
         self._lowest_rad = tuple(
             angle - max(_BEYOND_CLOSED_RAD, BEYOND_CLOSED_M / linkage.opening_per_rad_m(angle))
@@ -195,7 +197,7 @@ class FeedbackCheck:
 
         Raises FeedbackImplausible where a finger has leapt, or its position or current is
         impossible. Raises PositionContradicted where it has moved steadily, but not as its motor,
-        or to where only a load on the pads explains it; not while a part is let go.
+        or to where only a load on the pads explains it; not while a loaded part is let go.
 
         Parameters
         ----------
@@ -228,16 +230,18 @@ class FeedbackCheck:
                 )
             self._check_link(servo)
             motor = self.motors[servo.servo_id]
-            if self.letting_go:
+            if self.letting_go and loaded:
                 motor.pause()
                 continue
-            self._check_range(index, servo, last_rad, loaded=loaded)
+            if not self.letting_go:
+                self._check_range(index, servo, last_rad, loaded=loaded)
             motor.push(servo, now_s, loaded=loaded)
-            if (apart_rad := motor.unseen_rad) > _UNSEEN_RAD:
+            most_rad = _UNSEEN_FREE_RAD if self.letting_go else _UNSEEN_RAD
+            if (apart_rad := motor.unseen_rad) > most_rad:
                 motor.forget()
                 raise PositionContradicted(
                     f"servo {servo.servo_id}: the travels by its encoder and by voltage and "
-                    f"current of its motor differ by {apart_rad:.3f} rad, at most {_UNSEEN_RAD} "
+                    f"current of its motor differ by {apart_rad:.3f} rad, at most {most_rad} "
                     f"rad are possible: one of them is stuck or drifts. {_GRIP_STAYS}"
                 )
 

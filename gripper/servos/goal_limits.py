@@ -14,7 +14,7 @@ from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import GOAL_CURRENT, GOAL_POSITION, RegisterBlock
 from gripper.dynamixel.drive import SIGMAS, DriveCharacteristic
 from gripper.dynamixel.models import ServoModel
-from gripper.errors import ForceAboveCap, LimitExceeded
+from gripper.errors import BusUnreliable, ForceAboveCap, LimitExceeded
 from gripper.mechanics.impact import (
     SLOWEST_M_S,
     ImpactLimit,
@@ -335,12 +335,13 @@ class GoalWriter:
     def check(self, goals: Sequence[ServoGoal], state: ServoFeedback) -> None:
         """Check goals before they are written; the next goals are compared with those that pass.
 
-        Raises LimitExceeded, which names the limit, when a goal exceeds one.
+        Raises LimitExceeded, which names the limit, when a goal exceeds one. Raises BusUnreliable
+        for old feedback.
         """
         settings = self._settings
         age_s = self._clock.monotonic() - state.t_s
         if age_s > settings.bus_loss_s:
-            raise LimitExceeded(
+            raise BusUnreliable(
                 f"the servos' feedback is {age_s:.3f} s old, at most {settings.bus_loss_s} s are "
                 f"allowed: check the servo bus"
             )

@@ -270,21 +270,22 @@ def _without_spikes(counts: NDArray[np.float64], adc_max: int) -> NDArray[np.flo
     counts : (n_frames, n_taxels)
         Readings of one pad.
     """
-    before, here, after = counts[:-2], counts[1:-1], counts[2:]
+    # Before the first frame and after the last one the ramp goes on as beside them.
+    first, last = 2.0 * counts[1:2] - counts[2:3], 2.0 * counts[-2:-1] - counts[-3:-2]
+    padded = np.concatenate([first, counts, last])
+    before, here, after = padded[:-2], padded[1:-1], padded[2:]
     limit = _SPIKE_SHARE * adc_max
     above = here - np.maximum(before, after) > limit
     below = np.minimum(before, after) - here > limit
     if not (above.any() or below.any()):
         return counts
-    cleaned = counts.copy()
-    cleaned[1:-1] = np.where(above | below, 0.5 * (before + after), here)
-    return cleaned
+    return np.where(above | below, 0.5 * (before + after), here)
 
 
 def _stuck_taxels(
     counts: NDArray[np.float64], taught: NDArray[np.float64], noise: float, adc_max: int
 ) -> NDArray[np.bool_]:
-    """Return which taxels never change and differ from rest by more than a common drift.
+    """Return which taxels change by noise alone, and differ from rest by more than a common drift.
 
     Parameters
     ----------
@@ -297,8 +298,8 @@ def _stuck_taxels(
     """
     change = counts[0] - taught
     change = np.abs(change - np.median(change))
-    still = np.ptp(counts, axis=0) == 0.0
     limit = max(_STUCK_SIGMAS * noise, _STUCK_SHARE * adc_max)
+    still = np.ptp(counts, axis=0) < limit
     stuck: NDArray[np.bool_] = still & (change > limit)
     if stuck.any():
         # A constant load does not change either. It shows as no load on the other taxels.
@@ -519,7 +520,7 @@ def _weights(
 
 
 def _known(aperture_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Fill single unknown openings from their neighbours; all NaN stays NaN."""
+    """Fill unknown openings from their neighbours in time; all NaN stays NaN."""
     good = np.isfinite(aperture_m)
     if good.all() or not good.any():
         return aperture_m

@@ -583,8 +583,7 @@ def test_a_servo_of_another_package_is_known_to_the_gripper(installed: Install) 
     installed(servo_models={"XL330-M077": "SERVO", "XL330-again": "SAME"})
     servos = [{"id": n, "model": "XL330-M077"} for n in (1, 2)]
     changes = {"servos": servos, "current_max_a": 1.0}
-    config = changed_config(CellConfig().gripper, changes)
-    assert config.servos[0].model == "XL330-M077"
+    assert changed_config(CellConfig().gripper, changes).servos[0].model == "XL330-M077"
     assert models.model_name(1190) == "XL330-M077"
     with pytest.raises(LimitExceeded, match="XL330-M288 with number 1200 exists with other"):
         use_servo_models(["XL330-again"])

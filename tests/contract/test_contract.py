@@ -515,8 +515,7 @@ def test_the_heartbeat_comes_as_often_as_it_is_set(unit) -> None:
     assert sum(gaps_s) == pytest.approx(len(gaps_s) * period_s, rel=0.2)
     assert all(beat[1] == bytes([PRE_OPERATIONAL]) for beat in beats[1:])
     unit.send(0, bytes((1, node)))
-    states = [unit.receive(0x700 + node, 2.0)[1][0] for _ in range(3)]
-    assert states[-1] == OPERATIONAL
+    assert [unit.receive(0x700 + node, 2.0)[1][0] for _ in range(3)][-1] == OPERATIONAL
 
 
 REFUSED = {

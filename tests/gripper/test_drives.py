@@ -172,8 +172,7 @@ def test_pads_that_read_far_too_little_are_noted_and_the_cap_holds(make_started)
 def test_a_drive_that_was_measured_on_a_bench_counts() -> None:
     catalogue = DriveCharacteristic.catalogue(XM430_W350)
     bench = replace(catalogue, rising_a_nm=0.7, kt_nm_a=1.0 / 0.7, friction_sd=0.1)
-    servo = ServoSettings(servo_id=1, measured=bench)
-    assert Drives().of(servo) is bench
+    assert Drives().of(ServoSettings(servo_id=1, measured=bench)) is bench
     assert ServoSettings(servo_id=1).drive == catalogue
 
 

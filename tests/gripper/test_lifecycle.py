@@ -234,7 +234,7 @@ def test_a_finger_that_opens_while_its_reported_position_drifts_closes_at_no_sto
         servo.reported_offset_raw = round(-0.5 * (now_s - begin_s) / servo.model.rad_per_pulse)
 
     started.clock.on_advance.append(drift)
-    with pytest.raises(errors.FingerBlocked, match="servo 1"):
+    with pytest.raises(errors.PositionContradicted, match="servo 1"):
         started.gripper.release()
     stopped_rad = started.motors[0].angle_rad
     started.clock.sleep(0.5)

@@ -16,7 +16,7 @@ from recognition.drift.self_zero import at_zero, common_zero, foam_odds, prior_s
 from recognition.features import FEATURE_VERSION, pad_grids, sizes_mm
 from recognition.grasp import CELL_SOURCE, Grasp, SelfZero, by_label
 from recognition.ramp.ramp import Rest, learn_rest, load_levels
-from recognition.recognizer import Posterior
+from recognition.recognizer import DEPENDENCE, Posterior
 from recognition.recognizers.force_ramp.view import View, describe, fit_view
 from recognition.records import TaughtRecord
 from recognition.statistics.calibration import UNIFORM_SHARE
@@ -108,7 +108,9 @@ class ForceRampRecognizer(TaughtRecord):
         of_each = logsumexp(joint, axis=(0, 1))
         probability[evidence.classes] = np.exp(of_each - logsumexp(of_each))
         any_day = grid.offset_mm(np.exp(log_weight))[1] / DriftPrior().offset_sd_mm
-        even = max(UNIFORM_SHARE, evidence.view.even_share * min(1.0, any_day**2))
+        # An unknown zero is an error that all grasps of a part have in common.
+        common = min(1.0, any_day**2)
+        even = max(UNIFORM_SHARE, evidence.view.even_share * common)
         probability = (1.0 - even) * probability + even / len(self.labels)
         probability /= probability.sum()
         log_share = log_weight + evidence.of_any(_NEW_IN_ANSWER * self.caution)
@@ -126,6 +128,7 @@ class ForceRampRecognizer(TaughtRecord):
             labels=self.labels,
             probability=probability,
             unknown=caution / (caution + odds_of_taught),
+            dependence=max(DEPENDENCE, common),
             drawn_m=tuple((drawn_m + 1e-3 * mean_mm + moved_m).tolist()),
         )
 

@@ -551,8 +551,7 @@ def test_a_program_that_takes_nothing_freezes_the_loop_and_is_told_what_is_lost(
     line = Line(limit=20)
     line.hand.grasped = [make_cycle(float(number)) for number in range(2000)]
     line.ask(grasp={"ramp": RAMP})
-    events = line.serve()
-    *periods, answer = events
+    *periods, answer = line.serve()
     error = answer.error
     assert isinstance(error, HostSilent)
     assert "1 periods are lost" in str(error)

@@ -219,8 +219,7 @@ def test_identify_on_the_cell(config, model, tmp_path, monkeypatch) -> None:
     low, high = data["interval_mm"]
     size = f"{data['size_mm']:.1f} mm ({low:.1f} to {high:.1f})"
     assert f"; flat, {size}; ended early at 2.5 N\n" in text
-    recording = read_recording(data["recording"])
-    assert recording.results[0]["label"] == "box"
+    assert read_recording(data["recording"]).results[0]["label"] == "box"
 
 
 def test_a_job_whose_recording_alone_fails_has_its_answer_and_fails(

@@ -319,8 +319,7 @@ def test_who_commands_names_the_secret_where_there_is_one(connect, tmp_path) -> 
         assert cell.acquire(*given) == -513
     assert served.service.snapshot().commander == ""
     assert cell.hold() == 0
-    lease = cell.acquire("sixteen-letters~", "robot")
-    assert cell.alive(lease) == 0
+    assert cell.alive(cell.acquire("sixteen-letters~", "robot")) == 0
     assert served.service.snapshot().commander == "robot"
 
 

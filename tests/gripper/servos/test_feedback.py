@@ -144,6 +144,27 @@ def test_no_contradiction_of_a_position_ends_a_release(cell) -> None:
     assert not cell.gripper._servos.feedback.check.letting_go
 
 
+def test_no_finger_runs_to_its_stop_where_its_encoder_sticks_in_a_release(cell) -> None:
+    cell.hold_part(RAMP)
+    motor = cell.motors[0]
+    motor.stuck_at_rad, held_rad = motor.angle_rad, motor.angle_rad
+    with pytest.raises(PositionContradicted, match=r"servo 1.*at most 0\.3 rad"):
+        cell.gripper.release()
+    assert cell.force_n == 0.0
+    assert abs(motor.angle_rad - held_rad) < 0.6
+
+
+def test_after_a_turn_too_many_a_release_moves_nothing(cell) -> None:
+    cell.hold_part(RAMP)
+    cell.servos[0].reported_offset_raw = 4096
+    with pytest.raises(FeedbackImplausible, match="off by"):
+        cell.gripper.hold(0.1)
+    cell.gripper.clear_fault()
+    with pytest.raises(FeedbackImplausible, match="although its goal is the position"):
+        cell.gripper.release()
+    assert cell.torques == [0, 0]
+
+
 def test_turns_of_a_servo_without_torque_do_not_matter(started) -> None:
     before_m = started.gripper._servos.read_patiently().aperture_m
     started.servos[0].reported_offset_raw = 2 * 4096

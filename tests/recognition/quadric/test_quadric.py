@@ -118,8 +118,7 @@ def test_graded_spectrum_keeps_ten_digits():
 
 def test_a_singular_matrix_is_flagged_and_stands_at_the_floor():
     cylinder = np.diag([1.0 / 9.0, 1.0 / 9.0, 0.0, -1.0])
-    rng = np.random.default_rng(4)
-    basis, _ = np.linalg.qr(rng.normal(size=(4, 4)))
+    basis, _ = np.linalg.qr(np.random.default_rng(4).normal(size=(4, 4)))
     turned = basis @ cylinder @ basis.T
     smallest = smallest_eigenvalue(0.5 * (turned + turned.T))
     assert smallest.degenerate

@@ -145,8 +145,7 @@ def test_frames_near_the_full_force_or_load(rng):
 
 def test_a_fixed_force_that_was_not_reached_is_refused():
     grasp = _grasp(PINCH, 0.5, np.random.default_rng(21))
-    half = grip_level(grasp, 4.0)
-    assert half == pytest.approx(2 * grip_level(grasp), rel=0.2)
+    assert grip_level(grasp, 4.0) == pytest.approx(2 * grip_level(grasp), rel=0.2)
     with pytest.raises(ContactError, match=r"within 2 N of 20 N; the ramp reached 8 N"):
         MeanFrames.of(grasp, 20.0)
 
@@ -154,8 +153,7 @@ def test_a_fixed_force_that_was_not_reached_is_refused():
 def test_levels_are_taken_at_the_force_that_every_taught_grasp_reached(rng):
     taught = _taught(PINCH, rng)
     weak = dataclasses.replace(taught[0], force_n=0.5 * taught[0].force_n)
-    recognizer = LevelCheckTrainer().fit([*taught, weak])
-    assert recognizer.force_n == pytest.approx(4.0)
+    assert LevelCheckTrainer().fit([*taught, weak]).force_n == pytest.approx(4.0)
     unknown_force = [
         dataclasses.replace(grasp, force_n=np.full(grasp.n_frames, np.nan)) for grasp in taught
     ]

@@ -10,7 +10,7 @@ from recognition.evaluation.splits import a_day_later
 from recognition.features import pad_grid
 from recognition.grasp import Grasp
 from recognition.ramp.ramp import load_levels
-from recognition.recognizer import UNKNOWN
+from recognition.recognizer import DEPENDENCE, UNKNOWN
 from recognition.recognizers import DEFAULT_TRAINER, make_trainer, trainer_names
 from recognition.recognizers.force_ramp.view import describe, even_in_time
 from tests.marks import LONG
@@ -180,6 +180,9 @@ def test_within_an_hour_on_the_cell_that_taught_nothing_has_drifted(train, fresh
     soon, elsewhere = taught.posterior(here), taught.posterior(there)
     later = taught.posterior(a_day_later(here))
     assert soon.unknown > later.unknown == elsewhere.unknown
+    # All grasps there have the same unknown zero: several show no more than one.
+    assert soon.dependence == DEPENDENCE
+    assert later.dependence == elsewhere.dependence > 0.9
     # One object that was taught on another day: the zero may have moved since.
     days_ms = np.where(np.arange(len(taught.labels)) == 0, 2 * 86_400_000, 0)
     older = dataclasses.replace(taught, taught_ms=taught.taught_ms - days_ms)

@@ -160,8 +160,7 @@ def test_of_equally_often_met_thicknesses_the_thinner_is_the_size() -> None:
 
 
 def test_the_thickness_of_a_round_object_is_one() -> None:
-    told = [answer("cylinder", t, others=400.0) for t in (9.6, 10.0)]
-    fused = fuse_shapes(told)
+    fused = fuse_shapes([answer("cylinder", t, others=400.0) for t in (9.6, 10.0)])
     assert (fused.kind, len(fused.thicknesses)) == ("cylinder", 1)
     assert 9.6e-3 < fused.size_m < 10.0e-3
 

@@ -303,8 +303,7 @@ def test_fully_dependent_grasps_tell_no_more_than_one_of_them(ps):
 
 def test_agreeing_grasps_grow_surer_but_less_than_independent_ones():
     p = posterior(0.6, 0.4)
-    two = fuse([p, p]).probability[0]
-    assert 0.6 < two < 0.36 / (0.36 + 0.16)
+    assert 0.6 < fuse([p, p]).probability[0] < 0.36 / (0.36 + 0.16)
 
 
 def test_a_grasp_without_evidence_changes_no_answer_and_alone_is_no_answer():

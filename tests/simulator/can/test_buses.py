@@ -85,8 +85,7 @@ def test_the_lowest_identifier_goes_first_but_never_interrupts_one_on_the_wire()
     data = bytes(range(1, 9))
     wire.put(1.0, 0x385, 3 * [data])
     wire.put(1.0001, 0x285, [data])  # while the first of the burst is on the wire
-    order = [can_id for _, can_id, *_ in wire.take(2.0)]
-    assert order == [0x385, 0x285, 0x385, 0x385]
+    assert [can_id for _, can_id, *_ in wire.take(2.0)] == [0x385, 0x285, 0x385, 0x385]
 
 
 def test_no_device_takes_an_identifier_of_29_bits_a_remote_frame_or_can_fd() -> None:

@@ -153,8 +153,7 @@ def forces(line: Line, seconds: float) -> list[ForceMessage]:
 
 
 def test_a_force_message_waits_for_the_one_before_and_says_so(line) -> None:
-    timer = (0x1801, 5)
-    assert line.write(*timer, 2, 2) == 0
+    assert line.write(*(0x1801, 5), 2, 2) == 0
     line.start()
     line.message_s = 0.005
     messages = forces(line, 0.06)

@@ -155,8 +155,7 @@ def test_the_pwm_slope_limits_the_change_of_the_voltage():
 
 
 def test_a_fifth_of_the_stall_current_warms_the_winding_by_15_degrees_and_the_board_by_6(motor):
-    command = DriveCommand(Mode.CURRENT, current_a=0.2 * XM430_W350.stall_current_a)
-    motor.drive(command)
+    motor.drive(DriveCommand(Mode.CURRENT, current_a=0.2 * XM430_W350.stall_current_a))
     for _ in range(40_000):
         motor.torque_nm(0.05)
     assert motor.temperature_c == pytest.approx(AMBIENT_C + 6.0, abs=0.3)

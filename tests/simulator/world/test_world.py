@@ -165,8 +165,7 @@ def test_the_object_floats_until_both_pads_push_equally(bench) -> None:
     assert bench.go(6.5e-3, 6.5e-3) == (0.0, 0.0)
     assert bench.world._press.z_m == 1e-3
     # Finger 1 meets it first and pushes it along with no more than the nest's friction.
-    force_n = bench.go(6.5e-3, 4.5e-3)
-    assert force_n == pytest.approx((0.0, friction_n), abs=1e-4)
+    assert bench.go(6.5e-3, 4.5e-3) == pytest.approx((0.0, friction_n), abs=1e-4)
     assert bench.world._press.z_m < 0.0
     near_n, far_n = bench.go(4.8e-3, 3.9e-3)
     assert near_n > 3.0

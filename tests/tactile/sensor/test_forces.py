@@ -76,8 +76,7 @@ def test_a_tare_sets_zero_and_noise_of_the_source() -> None:
 
 def test_a_taxel_that_fails_in_a_grip_sends_the_force_back_to_the_frames_until_it_is_free() -> None:
     sensor, link = tared()
-    broken = LAYOUT.taxels_of(LAYOUT.gripping_pads[1]).start + 7
-    link.stuck = {broken: 33}
+    link.stuck = {LAYOUT.taxels_of(LAYOUT.gripping_pads[1]).start + 7: 33}
     readings(sensor, link, 40)
     assert not sensor.has_forces
     assert len(link.zeros) == 1

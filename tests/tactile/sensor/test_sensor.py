@@ -312,8 +312,7 @@ def test_one_bad_taxel_of_a_small_pad_is_no_reason_to_refuse_a_zero() -> None:
     sensor, frames = make()
     frames.stuck = {LAYOUT.taxels_of(4).start: 0}
     assert sensor.tare().health.kinds["dead"].sum() == 1
-    strict = SensorSettings(bad_share=0.0)
-    sensor, frames = make(strict)
+    sensor, frames = make(SensorSettings(bad_share=0.0))
     frames.stuck = {LAYOUT.taxels_of(4).start: 0}
     with pytest.raises(TareRefused, match=r"8% of the taxels of pad finger0\.tip"):
         sensor.tare()
@@ -503,8 +502,7 @@ def test_bad_taxels_take_their_neighbours_mean() -> None:
 
 
 def test_a_bad_taxel_without_good_neighbours_is_zero() -> None:
-    filled = fill_bad(HOOD, np.full(N, 9.0), np.ones(N, dtype=bool))
-    assert not filled.any()
+    assert not fill_bad(HOOD, np.full(N, 9.0), np.ones(N, dtype=bool)).any()
 
 
 def test_regions_grow_through_allowed_taxels_only() -> None:

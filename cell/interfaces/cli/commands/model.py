@@ -173,8 +173,8 @@ def _grasps_of(gauge: str, grasps: list[Grasp], dataset: Path, *, alone: bool) -
     if not taken:
         labels = ", ".join(sorted({repr(grasp.label) for grasp in grasps}))
         raise CellError(
-            f"{dataset}: its {len(grasps)} grasps have no {gauge!r}, but {labels}; use one of "
-            "these names for --gauge"
+            f"{dataset}: its {len(grasps)} grasps have no {gauge!r}, but {labels}; use a "
+            "taught one of these for --gauge"
         )
     return taken
 
@@ -236,7 +236,7 @@ def evaluate(
     if train_on is not None:
         taught = selected_grasps([train_on], EVERYTHING, print_line)
     if twice := len(duplicate_grasps([*(taught or ()), *grasps])):
-        print_note(f"{twice} tested grasps were taught or occur twice: the accuracy is too high")
+        print_note(f"{twice} grasps were taught or occur twice: the accuracy is too high")
     n_processes = 0 if len(grasps) >= _MANY_GRASPS else 1
     with workers(n_processes) as mapper, progress_bar() as progress:
         result = evaluate_recognizers(

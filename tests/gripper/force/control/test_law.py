@@ -145,8 +145,7 @@ def test_the_drive_of_a_hold_balances_the_force() -> None:
 
 
 def test_the_same_sample_corrects_only_once() -> None:
-    grip = make_grip(1.0)
-    observer = GripObserver(grip, 0.0)
+    observer = GripObserver(make_grip(1.0), 0.0)
     sample = ForceSample(t_s=0.1, force_n=(1.5, 1.5), noise_n=0.1)
     observer.measure(make_period(0.1, 1.0, sample).moment, sample)
     once_n = observer.force_n
@@ -281,8 +280,7 @@ def pressed(n_m: float, rate_hz: float, noise_n: float, seed: int = 0) -> Stiffn
             force_n = tuple(n_m * way_m + generator.gauss(0.0, noise_n) for _ in range(2))
             sample = ForceSample(t_s=now_s, force_n=force_n, lag_s=0.0, noise_n=0.7 * noise_n)
         counted_m = round(way_m / estimate.step_m) * estimate.step_m
-        period = make_period(now_s, 0.0, sample, closed_m=counted_m)
-        estimate.push(period.moment)
+        estimate.push(make_period(now_s, 0.0, sample, closed_m=counted_m).moment)
     return estimate
 
 
