@@ -283,8 +283,7 @@ class Lifecycle:
             drifts = isinstance(error, PositionContradicted) or (
                 isinstance(error, FingerBlocked) and error.opens
             )
-            share = 0.0 if drifts else 1.0
-            unconfirmed = servos.stop_motion(share) if moving else []
+            unconfirmed = servos.stop_motion(0.0 if drifts else 1.0) if moving else []
             one_sided = isinstance(error, FingerSilent) or (
                 isinstance(error, ServoFault) and error.torque_lost
             )

@@ -83,8 +83,7 @@ def inverses(settings: SweepSettings) -> Array:
 
 def some_inverses(kind: str, n: int) -> Array:
     """Return up to n of the inverses of a kind, drawn at random."""
-    every = inverses(KINDS[kind])
-    return np.random.default_rng(3).permutation(every)[:n]
+    return np.random.default_rng(3).permutation(inverses(KINDS[kind]))[:n]
 
 
 # -- Infimum of the quotient: equations (4) to (6) and (8) to (10) ---------------------------------

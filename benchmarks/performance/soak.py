@@ -93,8 +93,7 @@ def _service(**options: Any) -> Service:
     ports = {f"serve.{name}_port": 0 for name in ("modbus", "xmlrpc", "http")}
     half_a_day_off = [(time.localtime().tm_hour + 12) % 24]  # no shift begins meanwhile
     serve = {"serve.lease_timeout_s": 60.0, "serve.shift_begins_h": half_a_day_off}
-    config = changed_config(CellConfig(), ports | serve)
-    return open_service(config, **options)
+    return open_service(changed_config(CellConfig(), ports | serve), **options)
 
 
 def _ended(service: Service, lease: int, number: int) -> Job:

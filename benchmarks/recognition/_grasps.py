@@ -63,8 +63,7 @@ def asked(recognizer: Recognizer, grasps: Sequence[Grasp], n_fused: int = 1) -> 
     """Answer each grasp by itself, or each ``n_fused`` of one object together."""
     posteriors = [(grasp.label, recognizer.posterior(grasp)) for grasp in grasps]
     if n_fused > 1:
-        starts = range(0, len(grasps), n_fused)
-        parts = [posteriors[i : i + n_fused] for i in starts]
+        parts = [posteriors[i : i + n_fused] for i in range(0, len(grasps), n_fused)]
         posteriors = [(part[0][0], fuse([one for _, one in part])) for part in parts]
     return [JudgedAnswer(truth, truth in p.labels, p.best, p.name) for truth, p in posteriors]
 

@@ -130,8 +130,7 @@ def closing_current_max_a(
     still at ``stood_a`` shows its friction, or presses on something that the pads do not show. So
     the cap holds even so, for any plausible torque and at least the catalogue's friction.
     """
-    most_n = most_peak_n(settings)
-    by_force_a = path.pressing_current_a(most_n)
+    by_force_a = path.pressing_current_a(most_peak_n(settings))
     if not path.drive.measured:
         more_a = path.drive.breakaway_a - path.drive.least_breakaway_a
         by_force_a = max(by_force_a, min(_STOOD_SHARE * stood_a, by_force_a + more_a))

@@ -381,8 +381,7 @@ class GoalWriter:
         if low_rad <= goal.angle_rad <= self._open_rad[index]:
             return
         overrun = overrun_rad(servo.servo_model, self._mechanics.drives.of(servo))
-        margin_rad = max(OPENING_MARGIN_RAD, 1.1 * overrun)
-        high_rad = self._open_rad[index] + margin_rad
+        high_rad = self._open_rad[index] + max(OPENING_MARGIN_RAD, 1.1 * overrun)
         # Fingers that stand outside (moved by hand, or past the end) may stay or be brought back
         # in; the reading of a finger at rest jitters by a count.
         angle_rad, count_rad = state.servos[index].angle_rad, servo.servo_model.rad_per_pulse

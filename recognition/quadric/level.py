@@ -258,6 +258,5 @@ def log_statistics(
 def level_novelty(levels: LevelBands, value: float) -> float:
     """Return 0 inside a band, 1/2 at the edge of its margin, towards 1 beyond."""
     edge = np.where(value < levels.low, np.abs(levels.low), np.abs(levels.high))
-    outside = levels.distance(value) / (levels.margin * edge)
-    nearest = float(np.nanmin(outside))
+    nearest = float(np.nanmin(levels.distance(value) / (levels.margin * edge)))
     return nearest**2 / (1.0 + nearest**2)

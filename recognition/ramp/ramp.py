@@ -299,8 +299,7 @@ def _stuck_taxels(
     change = counts[0] - taught
     change = np.abs(change - np.median(change))
     limit = max(_STUCK_SIGMAS * noise, _STUCK_SHARE * adc_max)
-    still = np.ptp(counts, axis=0) < limit
-    stuck: NDArray[np.bool_] = still & (change > limit)
+    stuck: NDArray[np.bool_] = (np.ptp(counts, axis=0) < limit) & (change > limit)
     if stuck.any():
         # A constant load does not change either. It shows as no load on the other taxels.
         _, largest = _first_and_largest(counts, taught, stuck)

@@ -243,8 +243,7 @@ class SimulatedServo:
         """Compute the command for the motor from mode, goals, limits and gains."""
         if self._stopped:
             return
-        command = self._goal_command() if self.torque_on else DriveCommand()
-        self.plant.drive(command)
+        self.plant.drive(self._goal_command() if self.torque_on else DriveCommand())
 
     def _goal_command(self) -> DriveCommand:
         """Return the command to the motor by Operating Mode, goals, limits and gains."""

@@ -239,8 +239,7 @@ class _Run:
         """Return a part of the motion by a parabola through its positions (least squares)."""
         t_s = np.array([one.now_s for one in periods])
         t_s -= t_s.mean()
-        rows = np.column_stack([np.ones(len(t_s)), t_s, 0.5 * t_s**2])
-        whole = np.linalg.pinv(rows)
+        whole = np.linalg.pinv(np.column_stack([np.ones(len(t_s)), t_s, 0.5 * t_s**2]))
         _, speed_rad_s, acceleration_rad_s2 = whole @ [one.angle_rad for one in periods]
         return _Part(
             speed_rad_s=float(speed_rad_s),

@@ -42,8 +42,7 @@ def add(
     with workers(jobs) as mapper, progress_bar() as progress:
         done = ingest(target, paths, cell=cell, mapper=mapper, progress=progress)
     for path, why in done.left.items():
-        named = why if path in why else f"{path}: {why}"
-        print_note(f"left for the next run: {named}")
+        print_note(f"left for the next run: {why if path in why else f'{path}: {why}'}")
     line = (
         f"{done.n_grasps} grasps of {done.n_files} files added to {target}; {done.n_there} files "
         f"and {done.n_before} grasps were there already"
@@ -69,7 +68,6 @@ def report(
         from cell.archive.page import archive_report, lines
         from cell.archive.questions import ask
 
-    selection = parse_selection(cells, days, objects)
-    answers = ask(archive, selection)
+    answers = ask(archive, parse_selection(cells, days, objects))
     write_report(output, archive_report(answers, archive))
     show([*lines(answers), f"report: {output}"], answers.as_json(), json_file)
