@@ -66,7 +66,10 @@ class TaughtModel:
         self._trained: Trained | None = None
         self._written: tuple[tuple[Grasp, ...], Path] = ((), Path())
         self._drift_remarked = self._zero_remarked = False
+        self._times_ns: dict[Path, int | None] = {}
+        """Times of change in ns of the model files that this program has read or written."""
         if model is not None:
+            self._times_ns[model.path.resolve()] = _changed_ns(model.path)
             check_pads(model, self._pads)
             if not _has_trained(model, self.training_set):
                 own, labels = model.training_set.get("file", "its own"), ", ".join(model.labels)
@@ -345,9 +348,16 @@ class TaughtModel:
 
         The training set goes to ``NAME.grasps.npz`` beside the model. With ``followed`` the model
         expects the drift followed so far. Raises CellStateError if nothing was taught yet, and
-        ModelError or DatasetError if a file cannot be written.
+        ModelError or DatasetError if a file cannot be written, or has changed since this program
+        read or wrote it.
         """
         path, trained = Path(path), self.check_taught()
+        known_ns, now_ns = self._times_ns.get(place := path.resolve()), _changed_ns(path)
+        if known_ns is not None and now_ns not in (None, known_ns):
+            raise ModelError(
+                f"another program wrote {path} since this one did: one cell, one model file. Move "
+                "that file away, or save under another name"
+            )
         recognizer, training_set = trained.recognizer, trained.training_set
         if grasps := self.training_set:
             if self._written != (grasps, dataset := training_set_file(path)):
@@ -358,6 +368,11 @@ class TaughtModel:
             recognizer = recognizer.with_grid(recognizer.grid.with_unnamed_as_gauge())
         trained = replace(trained, recognizer=recognizer, training_set=training_set)
         save_model(path, trained, self._pads)
+        self._times_ns[place] = _changed_ns(path)
+
+
+def _changed_ns(path: Path) -> int | None:
+    return path.stat().st_mtime_ns if path.exists() else None
 
 
 def training_set_file(model: Path) -> Path:

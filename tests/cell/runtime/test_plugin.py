@@ -365,8 +365,12 @@ def test_each_teaching_is_saved_before_its_job_succeeds(
     done(plugin, TeachGoal(label="ball", grasps=1))
     plugin.result(plugin.forget_drift(), LIMIT_S)
     assert running == [True]  # and once for each teaching
+    make_plugin(model=path).save(path)
     done(plugin, TeachGoal(label="cup", present="box", grasps=2, train=False))
-    plugin.close()
+    with pytest.raises(ModelError, match=r"another program wrote .*m\.npz since this one did"):
+        plugin.close()
+    path.unlink()
+    plugin.save(path)
     assert [grasp.label for grasp in read_dataset(tmp_path / "m.grasps.npz")].count("cup") == 2
     assert path.read_bytes() != before
     assert make_plugin(model=path).labels == ("ball", "box")
