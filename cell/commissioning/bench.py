@@ -22,6 +22,8 @@ from tactile.can.bus import CanBus, close_bus, open_bus
 _Section = TypeVar("_Section", bound=BaseModel)
 CONFIG_NAME = "tactile-cell.yaml"
 """File in the cell's folder that the finished wizard writes; commands there use it by default."""
+BASE_NAME = "base.yaml"
+"""File in it with the first config, until there is that one."""
 _PATIENCE_S = 0.02
 """Allowance in s for adapter and operating system, enough for a latency timer of 16 ms, which is
 corrected later."""
@@ -76,8 +78,9 @@ class Bench:
         base: CellConfig | None = None,
     ) -> None:
         self.folder = folder
-        if base is None and (folder / CONFIG_NAME).exists():
-            base = load_config(folder / CONFIG_NAME)
+        for kept in (folder / CONFIG_NAME, folder / BASE_NAME):
+            if base is None and kept.exists():
+                base = load_config(kept)
         self.base = base or CellConfig(name=folder.resolve().name[:80] or "cell")
         """First config."""
         self.lines = lines or LineOpener()

@@ -14,7 +14,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NoReturn, Protocol
 
-from cell.commissioning.bench import CONFIG_NAME, Bench
+from cell.commissioning.bench import BASE_NAME, CONFIG_NAME, Bench
 from cell.commissioning.findings import STORE_NAME, Notes, ProposedChange, read_commissioned
 from cell.config.file import config_text, schema_text
 from cell.errors import CellError
@@ -171,10 +171,9 @@ class Engine:
         done = (self.notes[step.key] for step in self.steps if step.key in self.notes)
         return [line for notes in done for line in notes.corrected]
 
-    def redo(self, key: str, *, store: bool = False) -> tuple[str, ...]:
+    def redo(self, key: str) -> tuple[str, ...]:
         """Forget a step and all that need it; return their keys.
 
-        Without ``store`` the file forgets them with the next finding, or the next approved write.
         Raises CellError if the step does not exist.
         """
         keys = [step.key for step in self.steps]
@@ -186,9 +185,7 @@ class Engine:
                 affected.add(step.key)
         for name in affected:
             self.notes.pop(name, None)
-        if store:
-            self._store()
-        self._fill_bench()
+        self._store()
         return tuple(name for name in keys if name in affected)
 
     def run(self, dialog: Dialog) -> tuple[Path, ...]:
@@ -257,6 +254,8 @@ class Engine:
 
     def _store(self) -> None:
         content = {"steps": self.notes, "approved": self.approved}
+        base = config_text(self.bench.base)
+        write_text(self.bench.folder / BASE_NAME, base, error=CellError, what="first config")
         write_json(self.path, COMMISSIONING, content, error=CellError)
         self._fill_bench()
 

@@ -123,7 +123,7 @@ class FreeMotion:
                 self.notes.append(
                     f"{begin} 1 A makes {times:.2f} times the torque of its motor constant: "
                     f"the law of the pads, or the current scale, is off. Press a known weight on "
-                    f"the pads: `tactile-cell commission --redo pads_law`"
+                    f"the pads: step pads_law of `tactile-cell commission`"
                 )
 
     def _take(self, settings: ServoSettings, servo: ServoState, run: "_Run") -> None:

@@ -867,9 +867,9 @@ def steps() -> list[Step]:
 
 
 def test_leaving_keeps_what_was_found_and_the_next_run_goes_on_there(tmp_path: Path) -> None:
-    first = Script(leave_at=["unit.q"])
+    first, base = Script(leave_at=["unit.q"]), CellConfig(name="glass")
     with pytest.raises(WizardAborted):
-        Engine(steps(), Bench(tmp_path)).run(first)
+        Engine(steps(), Bench(tmp_path, base=base)).run(first)
     assert first.asked == ["ports.q", "servos.q", "unit.q"]
     assert list(json.loads((tmp_path / STORE_NAME).read_text())["steps"]) == ["ports", "servos"]
     assert not (tmp_path / CONFIG_NAME).exists()
@@ -881,6 +881,7 @@ def test_leaving_keeps_what_was_found_and_the_next_run_goes_on_there(tmp_path: P
     assert tmp_path / CONFIG_NAME in files
     config = load_config(tmp_path / CONFIG_NAME)
     assert (config.gripper.port, config.gripper.baud_rate) == ("/dev/ttyUSB0", 2000000)
+    assert config.name == "glass"
     assert Engine(steps(), Bench(tmp_path)).run(third := Script())
     assert third.asked == []
 
@@ -891,8 +892,8 @@ def test_redo_forgets_a_step_and_all_that_need_it_and_what_they_corrected(tmp_pa
     assert engine.corrected == ["ports was wrong", "servos was wrong"]
     assert engine.redo("servos") == ("servos", "force")
     assert (list(engine.notes), engine.corrected) == (["ports", "unit"], ["ports was wrong"])
-    assert len(Engine(steps(), Bench(tmp_path)).notes) == 4  # who leaves now has lost nothing
-    engine.run(script := Script())
+    # Who leaves now continues with it.
+    Engine(steps(), Bench(tmp_path)).run(script := Script())
     assert script.asked == ["servos.q", "force.q"]
     with pytest.raises(CellError, match="the steps are ports, servos, unit, force"):
         engine.redo("wheels")
@@ -948,7 +949,7 @@ def test_the_command_goes_on_where_it_was_left_and_writes_config_and_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("cell.interfaces.cli.commands.commission.all_steps", steps)
-    command = ["commission", str(tmp_path), "--servo-port", "/dev/ttyUSB7", "--can", "socketcan:c"]
+    command = ["commission", str(tmp_path), "--servo-port", "/dev/ttyUSB0", "--can", "socketcan:c"]
     left = CliRunner().invoke(app, command, input="\nq\n")
     assert (left.exit_code, (tmp_path / CONFIG_NAME).exists()) == (1, False)
     assert left.output.count(RESUME) == 1
@@ -956,6 +957,8 @@ def test_the_command_goes_on_where_it_was_left_and_writes_config_and_record(
     assert done.exit_code == 0, done.output
     assert f"{tmp_path}/{RECORD_NAME}" in done.stdout
     assert load_config(tmp_path / CONFIG_NAME).gripper.baud_rate == 2000000
+    elsewhere = CliRunner().invoke(app, [*command[:3], "/dev/ttyUSB7"], input="q\n")
+    assert "steps to repeat: ports, servos" in elsewhere.output
     (other := tmp_path / "other.yaml").write_text("name: other\ngripper: {port: simulated}\n")
     refused = CliRunner().invoke(app, [*command, "--config", str(other)])
     assert refused.exit_code == 1

@@ -245,12 +245,14 @@ def commission(
                     bench,
                     dialog,
                     servo_port or bench.gripper().port,
-                    begin=lambda: engine.redo("servos", store=True),
+                    begin=lambda: engine.redo("servos"),
                 )
                 for line in lines:
                     print_line(line)
                 return
-            for key in redo or ():
+            other = [key for key, value in given.items() if bench.settings.get(key, value) != value]
+            steps = ["ports" if key == "gripper.port" else "unit" for key in other]
+            for key in dict.fromkeys([*steps, *(redo or ())]):
                 print_line(f"steps to repeat: {', '.join(engine.redo(key))}")
             files = engine.run(dialog)
     except KeyboardInterrupt:
