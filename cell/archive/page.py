@@ -19,7 +19,7 @@ _QUESTIONS = {
     "friction": ("Whose friction grows", "No friction grows by more than chance."),
 }
 _OBJECT = (
-    "object", "grasps", "days", "cells", "named rightly", "95 % interval", "grasps until sure",
+    "object", "grasps", "days", "cells", "named rightly", "95 % interval", "grasps for each part",
     "needs more",
 )  # fmt: skip
 """Columns of the table of objects."""
@@ -126,7 +126,7 @@ def _confusion_lines(answers: Answers) -> list[str]:
         return ["No answer about confusions: no identification of a named part."]
     texts = []
     for pair in answers.confusions[:_MOST_CONFUSIONS]:
-        cells = ", ".join(f"{cell} {k}" for cell, k in pair.cells.items())
+        cells = ", ".join(f"{k} in {cell}" for cell, k in pair.cells.items())
         days = f"{pair.first} to {pair.last}"
         texts.append(
             f"{pair.n} x {pair.label} as {pair.answer} (of {pair.n_parts}), {days}: {cells}"

@@ -25,7 +25,7 @@ from cell.learning.shape_reading import in_words
 from cell.learning.training import train
 from cell.recording.reader import Recording, between
 from cell.report.confusion import BASELINE, ConfusionTable, paper_table, score_tables
-from cell.report.page import Page, pad_svg, picture, timeline_figure
+from cell.report.page import Page, pad_svg, percent, picture, timeline_figure
 from cell.report.shapes import shapes_view
 from cell.simulation import true_sizes
 from recognition.grasp import Grasp, PadArray
@@ -353,14 +353,14 @@ def _tiles(
         return [(str(n_taught), "grasps taught", "")]
     captions = ("right", "right with one grasp", "right by the paper's method")
     tiles = [
-        (f"{one.accuracy:.0%}", caption, f"{one.n_right} of {one.n}")
+        (percent(one.accuracy), caption, f"{one.n_right} of {one.n}")
         for one, caption in zip(scores.values(), captions, strict=False)
     ]
     if not tiles:
         n_named = sum(one.label != UNKNOWN for one in answers)
         tiles.append((f"{n_named} of {len(answers)}", "with a name", ""))
     per_answer = np.mean([one.n_grasps for one in answers])
-    return [*tiles, (f"{per_answer:.1f}", "grasps until sure", "")]
+    return [*tiles, (f"{per_answer:.1f}", "grasps for each part", "")]
 
 
 def _facts(config: CellConfig | None, pads: PadArray) -> dict[str, str]:

@@ -412,9 +412,9 @@ def load_mesh(path: Path) -> MeshShape:
         raise SimulatorSettingsError(
             f"{path} has {len(mesh.faces)} triangles, must have at most {MAX_FACES}"
         )
-    if not mesh.is_watertight:
+    if not len(mesh.faces) or not mesh.is_watertight:
         raise SimulatorSettingsError(
-            f"{path} has no closed surface; repair the mesh and export it again"
+            f"{path} has no closed surface; repair the mesh and export it again as STL"
         )
     if not _SMALLEST_M <= _UNIT_M * mesh.extents.max() <= _LONGEST_M:
         size_mm = " x ".join(f"{side_mm:.3g}" for side_mm in mesh.extents)

@@ -312,7 +312,7 @@ def test_figures_tables_and_files_of_a_run(recording, report, taught) -> None:
     assert "Simulated cell" in report.sections["notes"]["notes"][-1]
     assert [*report.sections["health"]["groups"]] == ["Tactile frames", "Servo bus", "Force loop"]
     assert captions(report) == [
-        *("right", "right with one grasp", "right by the paper's method", "grasps until sure")
+        *("right", "right with one grasp", "right by the paper's method", "grasps for each part")
     ]
     # The tables are those that the job counts and prints.
     tables = report.sections["result"]["tables"]
@@ -332,7 +332,7 @@ def test_the_papers_method_as_recognizer_of_the_cell_has_one_table(recording) ->
     config = json.loads(recording.metadata["config"])
     config["recognition"]["recognizer"] = "level_check"
     page = recorded_report(with_config(recording, json.dumps(config)))
-    assert captions(page) == ["right", "right with one grasp", "grasps until sure"]
+    assert captions(page) == ["right", "right with one grasp", "grasps for each part"]
 
 
 def test_a_page_says_what_the_recording_has_beside_the_answers(recording, monkeypatch) -> None:

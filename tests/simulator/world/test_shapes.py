@@ -191,6 +191,7 @@ def box(*extents: float, at_m: float = 0.0, inside_out: bool = False) -> trimesh
         (box(9, 9, 9) + box(8, 8, 8, at_m=30.0), "2 bodies or cavities, but a gripper holds"),
         (box(9, 9, 9) + box(8, 8, 8, inside_out=True), "2 bodies or cavities, but a gripper"),
         (trimesh.Trimesh(BOX.vertices, BOX.faces[:-2]), "no closed surface"),
+        (trimesh.Trimesh(BOX.vertices, [[0, 0, 1]]), "no closed surface"),
     ],
 )
 def test_a_mesh_that_is_no_part_is_refused(stl, mesh, says) -> None:
