@@ -43,6 +43,10 @@ _FARTHEST_PULSES = 1200
 """Largest distance in pulses of a goal from the position at which it is set."""
 
 
+_GIVES_PULSES = 100
+"""Longest way in pulses of an arm on the scale, 9 degrees: else nothing limits its speed."""
+
+
 class Reading(NamedTuple):
     """Registers 120 to 146 of the servo at one time, and its goal: one row of the log."""
 
@@ -90,6 +94,7 @@ class Rig:
         self.press = 1
         """Sign of the positions towards the scale."""
         self._goal_pulses = 0
+        self._scale_pulses: int | None = None
         self._tick_ms: int | None = None
         self._t_s = 0.0
 
@@ -125,14 +130,19 @@ class Rig:
                 with suppress(GripperError):
                     self.write(**item)
 
-    def start(self, mode: OperatingMode, **gains: int) -> None:
-        """Set a mode with goals that move nothing and given gains, and switch the torque on."""
+    def start(self, mode: OperatingMode, *, on_scale: bool = False, **gains: int) -> None:
+        """Set a mode with goals that move nothing and given gains, and switch the torque on.
+
+        ``on_scale``: the arm stands on the scale; `sample` raises StepFailed where it leaves it.
+        """
+        self._scale_pulses = None
         self.write(torque_enable=0, operating_mode=mode, position_i_gain=0, **gains)
         self.current(0.0)
         self.velocity(0.0)
         if mode is OperatingMode.PWM:
             self.pwm(0)
         self.position(self.sample().position_pulses)
+        self._scale_pulses = self._goal_pulses if on_scale else None
         self.write(torque_enable=1)
 
     def current(self, current_a: float) -> None:
@@ -162,7 +172,7 @@ class Rig:
         self._goal_pulses = pulses
 
     def sample(self, part: str = "") -> Reading:
-        """Read the servo once. Raises StepFailed when it is too hot."""
+        """Read the servo once. Raises StepFailed when it is too hot, or leaves the scale."""
         raw = self.bus.sync_read([self.servo_id], PRESENT_BLOCK)[self.servo_id]
         tick_ms, model = raw["realtime_tick"], self.model
         if self._tick_ms is not None:
@@ -184,6 +194,9 @@ class Rig:
         if reading.temperature_c >= HOTTEST_C:
             limit = f"{reading.temperature_c:.0f} degC, the bench ends at {HOTTEST_C:.0f} degC"
             raise StepFailed(f"the servo has {limit}: let it cool, then run the step again")
+        there = self._scale_pulses
+        if there is not None and abs(reading.position_pulses - there) > _GIVES_PULSES:
+            raise StepFailed("the arm has left the scale: lay its screw on it, check the side")
         return reading
 
     def watch(
@@ -387,7 +400,7 @@ def scale(rig: Rig, dialog: Dialog) -> Values:
 
     Screw the arm on, its screw on the scale, and set the scale to zero. The servo presses on it.
     """
-    rig.start(OperatingMode.CURRENT)
+    rig.start(OperatingMode.CURRENT, on_scale=True)
     shares = _SUPPLY_SHARES if rig.model.supply_current else _LOAD_SHARES
     amps = [share * rig.model.stall_current_a for share in shares]
     weighings, last_a = list[tuple[float, ...]](), 0.0
@@ -488,7 +501,7 @@ def _moved(start_pulses: int, row: Reading) -> bool:
 
 def _press(rig: Rig, current_a: float) -> None:
     """Press on the scale with a current in A, in mode 5."""
-    rig.start(OperatingMode.CURRENT_BASED_POSITION)
+    rig.start(OperatingMode.CURRENT_BASED_POSITION, on_scale=True)
     rig.current(current_a)
     rig.position(rig.sample().position_pulses + rig.press * _OUT_OF_REACH_PULSES)
 

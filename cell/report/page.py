@@ -98,8 +98,7 @@ def picture(figure: "Figure", description: str) -> str:
     file = io.BytesIO()
     with drawing():
         figure.savefig(file, format="svg", metadata={"Date": None})
-    data = base64.b64encode(file.getvalue()).decode()
-    source = f"data:image/svg+xml;base64,{data}"
+    source = f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode()}"
     return f'<img class="plot" alt="{escape(description)}" src="{source}"/>'
 
 

@@ -260,8 +260,7 @@ class ServoBus:
         self._begin()
         self._handler.send(self.port, BROADCAST_ID, Instruction.PING, b"")
         wire_s = 10.0 / self.baudrate * (STATUS_OVERHEAD + PING_SIZE) * (HIGHEST_ID + 1)
-        slots_s = _SLOT_S * HIGHEST_ID
-        self.port.start_timeout(wire_s + slots_s + self.port.allowance_s)
+        self.port.start_timeout(wire_s + _SLOT_S * HIGHEST_ID + self.port.allowance_s)
         while (status := self._handler.receive(self.port)) is not None:
             damaged |= bool(self._handler.dropped) or len(status.data) != PING_SIZE
             if len(status.data) == PING_SIZE:

@@ -107,5 +107,4 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
 def _change(packet: list[int], body: bytes) -> None:
     """Replace instruction and parameters of a packet."""
     packet[_BODY_AT:-_CRC_SIZE] = body
-    length = len(body) + _CRC_SIZE
-    packet[_LENGTH_AT:_BODY_AT] = length.to_bytes(2, "little")
+    packet[_LENGTH_AT:_BODY_AT] = (len(body) + _CRC_SIZE).to_bytes(2, "little")

@@ -153,8 +153,7 @@ def approach_speed_m_s(
 def closing_speed_m_s(mechanics: Mechanics, angles_rad: Sequence[float]) -> float:
     """Return the largest rate of the opening in m/s of closing fingers, for any commanded rate."""
     # Each of the fingers closes at half the rate of the opening.
-    allowed_m_s = 2.0 * impact_limit(mechanics, angles_rad).pad_speed_m_s()
-    return max(allowed_m_s, SLOWEST_M_S)
+    return max(2.0 * impact_limit(mechanics, angles_rad).pad_speed_m_s(), SLOWEST_M_S)
 
 
 def slowing_way_m(

@@ -252,8 +252,7 @@ def _rest_now(
 
 def _highest(counts: NDArray[np.uint16]) -> float:
     """Return the mean load in counts of a pad over its highest frames."""
-    totals = np.sort(counts.sum(axis=1, dtype=np.float64))
-    return float(totals[-QUIET_FRAMES:].mean())
+    return float(np.sort(counts.sum(axis=1, dtype=np.float64))[-QUIET_FRAMES:].mean())
 
 
 def _spread(grasp: Grasp, taxels: NDArray[np.int64]) -> float:

@@ -85,8 +85,7 @@ def crc16(data: bytes | bytearray) -> int:
 def encode_packet(packet_id: int, body: bytes) -> bytes:
     """Return a packet with a body from INST to the last parameter, which is stuffed here."""
     body = body.replace(HEADER, _STUFFED)
-    length = len(body) + _CRC_SIZE
-    head = _START + _ID_AND_LENGTH.pack(packet_id, length) + body
+    head = _START + _ID_AND_LENGTH.pack(packet_id, len(body) + _CRC_SIZE) + body
     return head + crc16(head).to_bytes(_CRC_SIZE, "little")
 
 

@@ -381,8 +381,7 @@ class ForceFlow:
         """Add the delay of a message after the time at which its counter was due."""
         step = (message.counter - self._last_counter) % COUNTERS if self._last_data else 1
         self._sent += step + (ForceStatus.OVERRUN in message.status)
-        delay_s = message.t_s - self._sent * self._period_s
-        self._delays.append((message.t_s, delay_s))
+        self._delays.append((message.t_s, message.t_s - self._sent * self._period_s))
         while message.t_s - self._delays[0][0] > _BEHIND_S and len(self._delays) > _LEAST_BEHIND:
             # The usual delay excludes the messages that may be late.
             self._usual_delays.append(self._delays.popleft()[1])

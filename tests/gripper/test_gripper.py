@@ -63,8 +63,7 @@ def test_one_grasp_from_start_to_close(make_cell, n_servos: int, zero_raw: int) 
     assert setpoints[-1] == 8.0
     assert cycles[-1].level == 0
     gripper.hold(0.5)
-    released = gripper.release().state
-    assert released.aperture_m == pytest.approx(0.03, abs=0.0008)
+    assert gripper.release().state.aperture_m == pytest.approx(0.03, abs=0.0008)
     assert gripper.phase is GripperPhase.IDLE
     gripper.close()
     gripper.close()

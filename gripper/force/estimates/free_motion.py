@@ -176,8 +176,7 @@ class FreeMotion:
 
 
 def _alike(one: FreePoint, other: FreePoint) -> bool:
-    ratio = one.speed_rad_s / other.speed_rad_s
-    return 1.0 / _SAME_SPEED < ratio < _SAME_SPEED
+    return 1.0 / _SAME_SPEED < one.speed_rad_s / other.speed_rad_s < _SAME_SPEED
 
 
 class _Period(NamedTuple):

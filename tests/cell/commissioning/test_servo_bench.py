@@ -97,6 +97,16 @@ def measured(bench: SimulatedBench, folder: Path, *steps: str) -> dict[str, Any]
     return values
 
 
+@pytest.mark.parametrize("step", ["scale", "heat"])
+def test_an_arm_that_leaves_the_scale_ends_the_step(tmp_path, step) -> None:
+    bench = SimulatedBench()
+    someone = person(bench, step)
+    bench.put = lambda _place: None  # the arm stays beside the scale
+    run_bench(bench.rig, someone, tmp_path)
+    assert "left the scale" in " ".join(someone.said)
+    assert abs(bench.rig.log[-1].velocity_rad_s) < 2.5
+
+
 def truth(bench: SimulatedBench) -> dict[str, Any]:
     """Return what the steps should measure of the simulated servo."""
     model, drive = bench.rig.model, bench.motor.figures

@@ -202,8 +202,7 @@ def test_noise_of_the_taxels_makes_no_part_another_one() -> None:
 
     checks = [compared(part(), part()) for _ in range(20)]
     assert all(check.same for check in checks), [check.reasons for check in checks]
-    other = replace(part(), footprint=np.roll(pressed, 30))
-    assert not compared(other, part()).same
+    assert not compared(replace(part(), footprint=np.roll(pressed, 30)), part()).same
     (reason,) = compared(replace(part(), opening_m=0.0125), part()).reasons
     assert reason.startswith("the opening is 12.50 mm and was 10.00 mm; a difference of ")
     lost = compared(replace(part(), opening_m=0.0125, force_n=0.1), part())

@@ -201,8 +201,7 @@ def test_centred_part_of_the_profile_does_not_move_with_the_patch(grid):
 
 
 def test_opening_features_give_size_and_squeeze(train):
-    levels = load_levels(train, learn_rest(train))
-    features = aperture_features(levels)
+    features = aperture_features(load_levels(train, learn_rest(train)))
     final, touch = features[:, 0], features[:, 1]
     assert final == pytest.approx([g.aperture_m[-1] * 1e3 for g in train], abs=0.15)
     assert np.all(touch > final)

@@ -105,8 +105,7 @@ def test_the_two_readings_of_smallest():
 
 
 def test_graded_spectrum_keeps_ten_digits():
-    rng = np.random.default_rng(2)
-    basis, _ = np.linalg.qr(rng.normal(size=(2, 250, 4, 4)))
+    basis, _ = np.linalg.qr(np.random.default_rng(2).normal(size=(2, 250, 4, 4)))
     batch = basis * GRADED @ basis.mT
     batch = 0.5 * (batch + batch.mT)
     smallest = smallest_eigenvalue(batch)

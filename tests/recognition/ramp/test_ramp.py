@@ -71,8 +71,7 @@ def test_touch_is_the_first_frame_of_the_lasting_contact(pads, train):
 
 
 def test_noise_alone_is_not_touched():
-    pads = make_pads(adc_max=255)
-    grasps = make_grasps(3, seed=4, pads=pads, noise_counts=20.0)
+    grasps = make_grasps(3, seed=4, pads=make_pads(adc_max=255), noise_counts=20.0)
     rest = learn_rest(grasps)
     rng = np.random.default_rng(0)
     noise = np.clip(np.abs(rng.normal(0, 10, grasps[0].counts.shape)), 1, 20).astype(np.uint16)
@@ -145,8 +144,7 @@ def test_rest_refuses_what_it_cannot_learn_from(train):
 
 
 def test_a_drift_of_all_taxels_is_no_load_however_large():
-    pads = make_pads(adc_max=255)
-    grasps = make_grasps(3, seed=4, pads=pads, noise_counts=16.0)
+    grasps = make_grasps(3, seed=4, pads=make_pads(adc_max=255), noise_counts=16.0)
     rest = learn_rest(grasps)
     whole = find_ramp(grasps[0], rest)
     lifted = dataclasses.replace(grasps[0], counts=np.minimum(grasps[0].counts + 25, 255))

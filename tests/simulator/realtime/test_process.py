@@ -99,8 +99,7 @@ def test_axes_have_terminals_of_their_own_and_carry_the_object(tmp_path: Path) -
             port.write(encode_instruction(7, Instruction.PING))
             one.run(0.01)
             assert port.read(99).startswith(b"\xff\xff\xfd\x00\x07")
-        placed = one.cell.devices.place("box")
-        assert placed.x_m == pytest.approx(2e-3)
+        assert one.cell.devices.place("box").x_m == pytest.approx(2e-3)
         one.cell.devices.axes["x"].slipped = 0.003
         one.run(0.05)
         label, pose = one.cell.devices.world.placed or ("", None)
