@@ -313,7 +313,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Remove the cause, then clear and reset.", AXES_STOP, MEND),
     motion.LimitSwitchReached: Fault(607, "Limit switch has stopped an axis",
         "A wrong home position, or limits beyond the switch.",
-        "Move the axis off the switch, check home and limits, clear and reset.", AXES_STOP, MEND),
+        "Move it off the switch, check home and limits, clear and reset.", AXES_STOP, MEND),
     motion.HomingFailed: Fault(608, "Axis has not found its home",
         "Home switch, homing method, or an obstacle.", "Check them, then clear and reset.",
         AXES_STOP, MEND),

@@ -166,8 +166,8 @@ class ForceCheck:
         scanned_s
             Monotonic time of the scan of the frame in s.
         force_n, noise_n
-            Force on each finger in N, 0 for a finger without a taxel above the threshold of the
-            source, and the standard deviation of each in N.
+            Force on each finger in N by the taxels that the messages show for certain: those above
+            the threshold of the source and beside them. And the standard deviation of each in N.
         centre_taxels, centre_noise_taxels
             Centre of both pads in pitches, None without a touch, and its standard deviation by the
             noise of the taxels.

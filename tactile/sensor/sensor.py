@@ -406,13 +406,12 @@ class TactileSensor:
     ) -> None:
         variance_n2 = max(self.layout.on_fingers(reading.active * noise_n**2))
         variance_n2 = max(variance_n2, *(_LEAST_TOUCHED * self._grip_noise_n2))
-        # A finger without a taxel above the source's threshold may show nothing in the messages.
-        mean = self._hood.weighted(counts) / _BINOMIAL
-        shown = [mean[one].max() > self._touch_counts for one in self.layout.gripping_taxels]
-        first_n, second_n = reading.scan_force_n
+        # The messages may leave out taxels that are not beside one above the source's threshold.
+        above = self._hood.weighted(counts) / _BINOMIAL > self._touch_counts
+        shown = self._hood.weighted(above.astype(np.float64)) > 0.0
         self._force_check.compare(
             reading.frame.scanned_s,
-            (shown[0] * first_n, shown[1] * second_n),
+            self.layout.on_fingers(np.where(shown, scan_n, 0.0)),
             sqrt(_EDGE * variance_n2),
             centre_taxels=self._centres.of(scan_n),
             centre_noise_taxels=reading.centre_noise_taxels,
