@@ -205,6 +205,13 @@ def quiet(make_stand: MakeStand) -> Stand:
     return make_stand(noise_level=0.3)
 
 
+@pytest.mark.slow
+def test_empty_pads_meet_after_a_block_was_taken_out(quiet) -> None:
+    """Their load is spread, and the messages leave out a part of it."""
+    quiet.run(FIRST_FORCE, first_force__empty=quiet.person.does("block 12", "half"))
+    quiet.passes(FIRST_FORCE)
+
+
 def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(quiet) -> None:
     stand, bench = quiet, quiet.bench
     bench.values["pads_law"] = {"factor": 1.0}  # the pads were checked with weights

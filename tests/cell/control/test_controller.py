@@ -300,8 +300,7 @@ def test_a_further_ramp_follows_the_frames_of_the_first_one_before_it() -> None:
 
 def test_list_is_taken_in_order_and_anew() -> None:
     listed = ({"x_mm": 1.0, "force_n": 3.0}, {"rotation_deg": 90.0})
-    config = SequenceConfig.model_validate({"poses": listed})
-    steps = plan(config, 3, seed=0)
+    steps = plan(SequenceConfig.model_validate({"poses": listed}), 3, seed=0)
     assert steps[0].pose == Pose(x_m=1e-3)
     assert (steps[0].force_n, steps[1].pose.rotation_rad) == (3.0, pytest.approx(math.pi / 2))
     assert steps[2] == steps[0]

@@ -218,8 +218,7 @@ def test_grasps_that_nobody_named_show_the_drift(taught, fresh):
     assert followed.grid.drift.aperture_offset_m == pytest.approx(-4e-3, abs=1e-3)
     assert accuracy(followed, drifted[1::2]) >= 0.96
     saved = followed.with_grid(followed.grid.with_unnamed_as_gauge())
-    again = type(taught).from_arrays(saved.to_arrays())
-    assert again.grid.drift == followed.grid.drift
+    assert type(taught).from_arrays(saved.to_arrays()).grid.drift == followed.grid.drift
     assert type(taught).from_arrays(followed.to_arrays()).grid.drift == taught.grid.drift
     assert not followed.grid.without_unnamed().likely
 

@@ -241,8 +241,7 @@ def test_the_papers_threshold_is_a_strain_of_3_percent() -> None:
 
 
 def test_it_stiffens_as_its_cells_close() -> None:
-    indentation_m = np.linspace(0.0, 3.5e-3, 500)
-    slope = np.diff(FOAM.pressure_pa(indentation_m))
+    slope = np.diff(FOAM.pressure_pa(np.linspace(0.0, 3.5e-3, 500)))
     assert (pressure_pa(-1e-3), pressure_pa(0.0)) == (0.0, 0.0)
     assert np.all(slope > 0.0)
     assert np.all(np.diff(slope) > -1e-6 * slope[:-1])

@@ -216,8 +216,7 @@ def test_a_converter_fault_is_an_objection(sensor, frames) -> None:
 
 def test_a_taxel_that_gets_stuck_is_filled_from_its_neighbours(sensor, frames) -> None:
     frames.stuck = {40: 180}
-    before = readings(sensor, frames, 10)[-1]
-    assert before.finger_force_n[0] > 1.0
+    assert readings(sensor, frames, 10)[-1].finger_force_n[0] > 1.0
     after = readings(sensor, frames, 40)[-1]
     assert after.finger_force_n[0] == 0.0
     assert after.ok
