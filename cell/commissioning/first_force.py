@@ -21,7 +21,7 @@ from cell.control.zeroing import drive_text, homing_offsets, part_between, store
 from cell.hand.client import HandProcess
 from cell.hand.interface import Hand
 from cell.hand.local import open_hand
-from gripper.errors import GripperError
+from gripper.errors import FeedbackImplausible, GripperError
 from gripper.force.ramp import ForceRamp
 from gripper.servos.watchdog_proof import proof_travel_m
 from gripper.settings import largest_setpoint_n
@@ -369,7 +369,8 @@ def _watched_hand(
     try:
         yield trial
     except BaseException as error:
-        if hand.phase in (GripperPhase.OFF, GripperPhase.IDLE):
+        limp = isinstance(error, FeedbackImplausible)  # the torque is off then
+        if limp or hand.phase in (GripperPhase.OFF, GripperPhase.IDLE):
             raise
         if not isinstance(error, _LEFT):
             notes.warn(_KEPT)
