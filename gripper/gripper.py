@@ -487,6 +487,10 @@ class Gripper:
             of the torque.
         ServoFault
             When no servo can be moved.
+        FeedbackImplausible
+            When a finger whose torque comes on does not stand, a turn off; it has no torque then.
+        PositionContradicted
+            When a finger runs on although its encoder stands, after the pads are free.
         """
         self._life.check_ready("release")
         self._carried = None

@@ -41,8 +41,6 @@ _FASTEST_RAD_S = 2.5
 """Largest commanded speed in rad/s."""
 _FARTHEST_PULSES = 1200
 """Largest distance in pulses of a goal from the position at which it is set."""
-
-
 _GIVES_PULSES = 100
 """Longest way in pulses of an arm on the scale, 9 degrees: else nothing limits its speed."""
 
@@ -75,8 +73,7 @@ def _check(value: float, most: float, unit: str) -> None:
 
 def records(rows: Sequence[Reading]) -> Any:
     """Return readings as a NumPy record array."""
-    names = ",".join(Reading._fields)
-    return np.rec.fromrecords(rows, formats=None, names=names)
+    return np.rec.fromrecords(rows, formats=None, names=",".join(Reading._fields))
 
 
 class Rig:

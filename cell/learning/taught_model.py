@@ -99,11 +99,13 @@ class TaughtModel:
         file = str(model.training_set.get("file"))
         # People change a file that `save` did not write; one of `save` is checked below.
         of_save = file == training_set_file(model.path).name
+        if of_save and training_set is None:
+            return cls(config, model, training_set=grasps)
+        # A model may be trained on some objects of a file.
         own = tuple(grasp for grasp in grasps if of_save or grasp.label in model.labels)
-        of_save &= training_set is None
-        if not of_save and own and _has_trained(model, own):
-            grasps = own  # a model may be trained on some objects of a file
-        elif not of_save and not _has_trained(model, grasps):
+        if own and _has_trained(model, own):
+            grasps = own
+        elif not _has_trained(model, grasps):
             if training_set is None:
                 note(f"{file} is no longer what trained {path}: it is not used")
                 grasps = ()
@@ -363,7 +365,7 @@ class TaughtModel:
             if self._written != (grasps, dataset := training_set_file(path)):
                 write_dataset(dataset, grasps)
                 self._written = (grasps, dataset)
-            training_set = training_set_section(self._written[1], grasps)
+            training_set = training_set_section(dataset, grasps)
         if followed and isinstance(recognizer, DriftFollowing):
             recognizer = recognizer.with_grid(recognizer.grid.with_unnamed_as_gauge())
         trained = replace(trained, recognizer=recognizer, training_set=training_set)

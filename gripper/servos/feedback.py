@@ -59,7 +59,8 @@ _COMPARED_S, _UNSEEN_RAD = 0.1, 0.01
 """Time in s over which the travels of motor and position are compared, and the difference in rad
 beyond their errors that is a contradiction: backlash, time between the readings. [chosen]"""
 _UNSEEN_FREE_RAD = 0.3
-"""The same in a release with free pads: it goes on, but no finger runs to its stop. [chosen]"""
+"""That difference in a release with free pads: it goes on, but no finger runs to its stop.
+[chosen]"""
 _PAUSE_S = 0.025
 """Time in s between two readings above which voltage and current between them are unknown: after
 two periods at 100 Hz the motor may have stopped meanwhile. [chosen]"""

@@ -71,6 +71,10 @@ class Neighbourhood:
         """
         return self.weighted(values) / self._total
 
+    def beside(self, mask: Mask) -> Mask:
+        """Return the taxels of a mask (n_taxels,) and their neighbours."""
+        return self.weighted(mask.astype(np.float64)) > 0.0
+
     def highest_neighbour(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return the highest value of each taxel's up to eight neighbours, which are at least 0."""
         return self._taxels(

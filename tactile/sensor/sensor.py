@@ -360,7 +360,7 @@ class TactileSensor:
         noise_n, summed = self._taxel_noise_n(counts, all_n), active
         if self.has_forces:
             # In its messages the unit also adds the neighbours of touched taxels.
-            summed = self._hood.weighted(active.astype(np.float64)) > 0.0
+            summed = self._hood.beside(active)
         full_scale = self._full_scale(full)
         reason = self._objection(frame, full_scale, bad, saturated | bad, tared)
         for array in (tared, active, force_n, saturated, bad):
@@ -408,10 +408,9 @@ class TactileSensor:
         variance_n2 = max(variance_n2, *(_LEAST_TOUCHED * self._grip_noise_n2))
         # The messages may leave out taxels that are not beside one above the source's threshold.
         above = self._hood.weighted(counts) / _BINOMIAL > self._touch_counts
-        shown = self._hood.weighted(above.astype(np.float64)) > 0.0
         self._force_check.compare(
             reading.frame.scanned_s,
-            self.layout.on_fingers(np.where(shown, scan_n, 0.0)),
+            self.layout.on_fingers(np.where(self._hood.beside(above), scan_n, 0.0)),
             sqrt(_EDGE * variance_n2),
             centre_taxels=self._centres.of(scan_n),
             centre_noise_taxels=reading.centre_noise_taxels,

@@ -193,8 +193,7 @@ class ForceRampRecognizer(TaughtRecord):
         evidence = self.evidence(grasp)
         if evidence is None:
             return self
-        grid = self.grid_at(grasp).with_unnamed(evidence.of_any(), grasp.start_ms)
-        return self.with_grid(grid)
+        return self.with_grid(self.grid_at(grasp).with_unnamed(evidence.of_any(), grasp.start_ms))
 
     def grid_at(self, grasp: Grasp) -> DriftGrid:
         """Return the drift at a grasp: a new self-zero gives a new prior, its end any drift."""

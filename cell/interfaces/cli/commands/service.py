@@ -418,4 +418,5 @@ def support(
     Tokens and secrets are removed. The service may run meanwhile. Check the bundle before you send
     it: it contains names of objects and machines.
     """
-    print_line(f"{file}: {', '.join(write_bundle(file, cell_config(config)))}")
+    names = write_bundle(file, cell_config(config))
+    print_line(f"{file}: {', '.join(names)}")

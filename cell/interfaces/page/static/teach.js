@@ -16,6 +16,10 @@ export function setupTeach(view) {
 }
 
 function result(taught) {
+  return taught.zero_note ? `${apart(taught)} ${t("teach.zero")}` : apart(taught);
+}
+
+function apart(taught) {
   const { mistaken_share: share, left_out = [] } = taught;
   if (left_out.length) return t("teach.left_out", { labels: left_out.join(", ") });
   if (share == null) return t("teach.done");
@@ -39,7 +43,7 @@ export function renderTeach(view) {
     renew(byId("teach_each"), each, () => each.map((one, i) => make("li", { value: i + 1 },
       ...[number(i + 1), newtons(one.force_n), millimetres(one.opening_mm), one.size_mm ? `⌀ ${millimetres(one.size_mm)}` : ""]
         .map((text) => make("span", {}, text)))).reverse());
-    setText(byId("teach_end"), runs(job) ? "" : job.progress.taught ? `${result(job.progress.taught)} ${job.progress.taught.zero_note ? t("teach.zero") : ""}`
+    setText(byId("teach_end"), runs(job) ? "" : job.progress.taught ? result(job.progress.taught)
       : job.outcome === "SUCCEEDED" ? t("teach.done") : t(`teach.${job.outcome}`, { reason: faultText({ number: job.fault_number, text: job.error }) }));
   }
   renew(byId("teach_names"), taught.map((one) => one.label), () => taught.map((one) => make("option", { value: one.label })));
