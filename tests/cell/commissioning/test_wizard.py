@@ -631,8 +631,9 @@ def test_a_thickness_that_was_typed_wrong_is_found(ready) -> None:
     ready.ends(WARN, FINGERS, named, fingers__block2=33.0, **replies)
 
 
-def test_one_block_is_enough_and_worth_a_word(ready) -> None:
-    notes = ready.ends(WARN, FINGERS, fingers__block2=0.0)
+@pytest.mark.parametrize("second_mm", [0.0, 10.0], ids=["none", "the first one again"])
+def test_one_block_is_enough_and_worth_a_word(ready, second_mm) -> None:
+    notes = ready.ends(WARN, FINGERS, fingers__block2=second_mm)
     assert notes.settings["gripper.linkage"]["link_mm"] == pytest.approx(60.0, rel=0.05)
 
 
