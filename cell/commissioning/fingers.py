@@ -68,7 +68,7 @@ _UNUSABLE_FIT_M = 3e-3
 """Largest residual in m with which a motor may move."""
 _BLOCKS = (
     ("Take a stiff block with parallel faces, best about 10 mm thick; measure it.", 1.0),
-    ("A second one of another thickness, best about 30 mm; 0 if you have none.", 0.0),
+    ("A second, different one, best about 30 mm thick; 0 if you have none.", 0.0),
 )
 """Texts that ask for the blocks, each with the least thickness in mm."""
 _OFF_PULSES = 60

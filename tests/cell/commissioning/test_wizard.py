@@ -911,9 +911,9 @@ def test_a_failed_step_runs_again_or_is_left(tmp_path: Path) -> None:
     ports = step("ports", settings=REAL, verdicts=[Verdict.FAIL, Verdict.FAIL, Verdict.WARN])
     failed = Script(leave_at=["ports.again"])
     with pytest.raises(WizardAborted):
-        Engine([ports], Bench(tmp_path)).run(failed)
+        Engine([ports], Bench(tmp_path / "new")).run(failed)
     assert failed.asked == ["ports.q", "ports.again"]
-    engine = Engine([ports], Bench(tmp_path))
+    engine = Engine([ports], Bench(tmp_path / "new"))
     assert engine.notes["ports"].status is Verdict.FAIL
     engine.run(script := Script())
     assert script.asked == ["ports.q", "ports.again", "ports.q"]
