@@ -27,7 +27,6 @@ from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
 from simulator.errors import PartGripped, SimulatorError
 from simulator.faults.injector import check_fault
-from simulator.faults.vocabulary import VOCABULARY
 from simulator.realtime.process import CellRequests
 from simulator.servo.mechanics import (
     LARGEST_LINK_ANGLE_RAD,
@@ -221,18 +220,6 @@ def open_can_bus(cell: SimulatedCell, bitrate: int | None = None) -> CanBus:
     """
     with raised_as(BusNotOpened, SimulatorError):
         return cell.open_can_bus(bitrate)
-
-
-def fault_table() -> list[tuple[str, str, str]]:
-    """Return name, value and meaning of each fault that can be injected."""
-    return [
-        (
-            entry.name,
-            "" if entry.value is None else entry.value.text,
-            entry.meaning + (" (a moment, without end)" if entry.moment else ""),
-        )
-        for entry in VOCABULARY.values()
-    ]
 
 
 def simulated_objects(config: CellConfig) -> dict[str, Shape]:

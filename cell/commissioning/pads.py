@@ -559,8 +559,6 @@ def _set_table(
     """Set the table of the loads, and return whether they lie on it."""
     true_n = [load[0] / gain for one, gain in zip(loads, gains, strict=True) for load in one]
     parts = [load[2:] for one in loads for load in one]
-    if not all(parts):
-        return False
     try:
         counts, force_n, residual_n = fit_table(true_n, parts, adc_max)
     except ValueError:

@@ -2,7 +2,6 @@
 
 import json
 import subprocess
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -89,7 +88,6 @@ def unit_sensor(bench: Bench, *, mounted: bool = True) -> Iterator[TactileSensor
             can_bus=undo.enter_context(bench.can_bus(*place))
             if tactile.sensor.on_can
             else MissingBus(),
-            real_time=bench.clock is time,
         )
         yield undo.enter_context(taxel_sensor(tactile, lines))
 

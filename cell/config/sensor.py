@@ -36,8 +36,6 @@ class SensorLines:
     """The open CAN bus; for a sensor without CAN, a bus that raises errors."""
     reopen_can: "Callable[[], CanBus] | None" = None
     """Reopens a lost bus."""
-    real_time: bool = True
-    """Whether time passes by itself; else only during waits."""
 
 
 RestLimits = SensorSettings

@@ -327,9 +327,7 @@ def unsound(zeroed: ZeroMeasurement) -> str:
 
 
 def dead_taxels_text(zeroed: ZeroMeasurement, layout: TaxelLayout) -> str:
-    """Return the dead taxels as a note; empty without any."""
-    if not zeroed.dead:
-        return ""
+    """Return the dead taxels as a note."""
     places = ", ".join(layout.place(taxel) for taxel in zeroed.dead[:8])
     return f"{len(zeroed.dead)} taxels measure nothing although their neighbours do: {places}"
 
@@ -507,8 +505,8 @@ class Zeroing:
         self.journal.note("self_zero", zero_text(zeroed))
         if self.zeros.unkept:
             self.journal.note("note", self.zeros.unkept)
-        if dead := dead_taxels_text(zeroed, self.hand.layout):
-            self.journal.note("taxels", dead)
+        if zeroed.dead:
+            self.journal.note("taxels", dead_taxels_text(zeroed, self.hand.layout))
         return zeroed
 
     def _meet(

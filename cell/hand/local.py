@@ -73,7 +73,6 @@ class LocalHand:
             open_serial=lines.open_boards,
             can_bus=lines.can_bus,
             reopen_can=lines.reopen_can,
-            real_time=clock is time,
         )
         self.sensor = sensor = taxel_sensor(config.tactile, sensor_lines, config.friction_n)
         self._force = GripForce(sensor, ForceSample)

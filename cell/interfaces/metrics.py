@@ -4,7 +4,6 @@ import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from cell.service.history import Sum
 from cell.service.service import Service
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
@@ -53,10 +52,6 @@ def _labels(**labels: str) -> str:
     return f"{{{','.join(texts)}}}"
 
 
-def _sum(values: Sum) -> Mapping[str, float]:
-    return {"_count": values.n, "_sum": values.sum}
-
-
 def _families(service: Service) -> Iterator[_Family]:
     plugin, totals = service.plugin, service.totals
     status, counters, health = plugin.status(), plugin.cell.health(), plugin.health()
@@ -98,9 +93,9 @@ def _families(service: Service) -> Iterator[_Family]:
     yield "faults", "counter", "Faults by number", faults
     for name, meaning, group, key in _COUNTERS:
         yield name, "counter", meaning, {"": counters[group][key]}
-    yield "cycle_seconds", "summary", "Time of each part", _sum(totals.cycles_s)
+    yield "cycle_seconds", "summary", "Time of each part", totals.cycles_s
     meaning = "Distance of force and set-point at the end of a grasp"
-    yield "force_error_newtons", "summary", meaning, _sum(totals.force_errors_n)
+    yield "force_error_newtons", "summary", meaning, totals.force_errors_n
 
 
 def _free_bytes(service: Service) -> float | None:

@@ -22,7 +22,6 @@ from starlette.exceptions import HTTPException as StarletteHTTPException
 from starlette.websockets import WebSocketDisconnect
 
 from cell.control.plan import Pose
-from cell.control.states import Command
 from cell.errors import (
     CellStateError,
     ConfigError,
@@ -295,7 +294,8 @@ class WebInterface(HttpServer):
         for kind in (*EXPECTED_ERRORS, OSError, StarletteHTTPException, RequestValidationError):
             app.add_exception_handler(kind, _refused)
         app.add_exception_handler(Exception, _refused)
-        router = APIRouter(prefix="/api", dependencies=[Depends(self.authorize)])
+        allowed = [Depends(self.authorize)]
+        router = APIRouter(prefix="/api", dependencies=allowed)
         paths: tuple[tuple[str, str, Callable[..., Any]], ...] = (
             ("/info", "GET", self.info),
             ("/state", "GET", self.state),
@@ -332,7 +332,7 @@ class WebInterface(HttpServer):
         app.add_api_route("/api/hold", self.hold, methods=["POST"])
         app.add_api_route("/healthz", self.healthz, methods=["GET"])
         app.add_api_route("/healthz", self.healthz, methods=["HEAD"], include_in_schema=False)
-        app.add_api_route("/metrics", self.metrics, methods=["GET"])
+        app.add_api_route("/metrics", self.metrics, methods=["GET"], dependencies=allowed)
         mount_page(app)
         return app
 
@@ -432,13 +432,8 @@ class WebInterface(HttpServer):
         }
         return JSONResponse(body, 503 if problem else 200)
 
-    def metrics(
-        self,
-        bearer: Annotated[HTTPAuthorizationCredentials, Depends(HTTPBearer())],
-        request: Request,
-    ) -> Response:
+    def metrics(self) -> Response:
         """Metrics for Prometheus; the token is the bearer."""
-        self.authorize(bearer, request)
         return Response(metrics_text(self._service), media_type=CONTENT_TYPE)
 
     def info(self) -> dict[str, Any]:
@@ -516,15 +511,12 @@ class WebInterface(HttpServer):
 
         ``forget_drift`` discards the estimated drift, for example after work on the sensors.
         """
-        if body.command == "forget_drift":
+        lease, name, number = body.lease, body.command, body.job
+        if name == "forget_drift":
             start = self._plugin.forget_drift
-            number = self._service.begin(body.lease, body.command, start, number=body.job)
-            return {"job": number}
-        command = Command(body.command)
-        number = self._service.command(
-            body.lease, command, key=body.key, reboot=body.reboot, number=body.job
-        )
-        return {"job": number}
+            return {"job": self._service.begin(lease, name, start, number=number)}
+        given = {"key": body.key, "reboot": body.reboot}
+        return {"job": self._service.request(lease, name, number=number, **given)}
 
     def pose(self, body: PoseBody) -> dict[str, int]:
         """Answer the awaited pose."""

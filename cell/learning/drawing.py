@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.signal import lfilter
 
-from cell.config.gripper import ParallelLinkageConfig
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.control.plan import GraspStep, Pose, plan
@@ -39,8 +38,6 @@ _N_DEPTHS = 48
 _SLOW_WAY_M = 2e-3
 """Distance in m before the touch of the widest part in which fast fingers slow down: 0.5 mm margin
 and 1.5 mm for mass and servo."""
-_PULSES = 4096
-"""Pulses of a turn of a servo."""
 _SLOW_S = 0.5
 """Time constant of the foam's creep in s."""
 
@@ -415,16 +412,14 @@ def teach_drawing(
 
 def course_of(config: CellConfig) -> Course:
     """Return the motion of the configured cell."""
-    drive, settings = config.gripper.linkage, config.gripper_settings
-    arm_mm = drive.link_mm if isinstance(drive, ParallelLinkageConfig) else drive.pinion_radius_mm
-    step_mm = arm_mm * math.tau / _PULSES * (2 if len(config.gripper.servos) == 1 else 1)
+    settings = config.gripper_settings
     return Course(
         period_s=config.tactile.frame_period_s,
         aperture_open_m=settings.aperture_open_m,
         aperture_min_m=settings.aperture_min_m,
         approach_speed_m_s=settings.approach_speed_m_s,
         travel_speed_m_s=settings.travel_speed_m_s,
-        aperture_step_m=1e-3 * step_mm,
+        aperture_step_m=max(config.mechanics.opening_steps_m()),
         # What stops a finger is a contact from half of that force on.
         contact_n=settings.contact_force_n,
         impact_n=(0.5 * settings.contact_force_n, settings.contact_force_n + 0.3),

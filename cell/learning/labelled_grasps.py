@@ -5,8 +5,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from cell.errors import CellError
 from cell.files import alone_in
 from cell.learning.model import what_differs
@@ -59,14 +57,10 @@ def read_labelled_grasps(path: Path, note: Callable[[str], None]) -> tuple[Grasp
 
 def duplicate_grasps(grasps: Sequence[Grasp]) -> list[Grasp]:
     """Return the grasps that repeat an earlier one: same time, same frames."""
-    seen: dict[int, list[Grasp]] = {}
-    repeated = []
-    for grasp in grasps:
-        others = seen.setdefault(grasp.start_ms, [])
-        if any(np.array_equal(grasp.counts, other.counts) for other in others):
-            repeated.append(grasp)
-        others.append(grasp)
-    return repeated
+    seen: dict[tuple[int, int], Grasp] = {}
+    keys = [(one.start_ms, hash(one.counts.tobytes())) for one in grasps]
+    pairs = zip(keys, grasps, strict=True)
+    return [grasp for key, grasp in pairs if seen.setdefault(key, grasp) is not grasp]
 
 
 def _check_folder(path: Path) -> None:

@@ -58,10 +58,8 @@ def spread(work: Callable[[_Item], _Result], items: Sequence[_Item], /) -> Itera
 def workers(jobs: int = 1) -> Iterator[Mapper]:
     """Yield what does work for many items: in this process, or in ``jobs`` processes.
 
-    ``jobs`` is 1 for no process but this one, 0 for one a core. Raises CellError if it is negative.
+    ``jobs`` is 1 for no process but this one, 0 for one a core.
     """
-    if jobs < 0:
-        raise CellError(f"--jobs is {jobs}; 0 is one process per core, 1 is this process alone")
     if jobs == 1:
         yield one_by_one
         return

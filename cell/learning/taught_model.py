@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.control.records import GraspRecord, pad_array
-from cell.errors import CellError, CellStateError, ModelError, RequestRefused, TrainingSetMissing
+from cell.errors import CellError, CellStateError, ModelError, TrainingSetMissing
 from cell.learning.model import LoadedModel, Trained, check_pads, load_model, save_model
 from cell.learning.shape_reading import shape_reader
 from cell.learning.teaching_summary import ToldApart, told_apart
@@ -127,7 +127,7 @@ class TaughtModel:
 
     @property
     def ends_early(self) -> bool:
-        """Whether ramps end early. Raises RequestRefused before teaching."""
+        """Whether ramps end early. Raises CellStateError before teaching."""
         recognizer = self.recognizer
         may = isinstance(recognizer, DriftFollowing) and recognizer.ends_early
         return self.config.decides_early and may
@@ -196,14 +196,10 @@ class TaughtModel:
     def forget(self, label: str, *, last: bool = False) -> None:
         """Forget an object, or with ``last`` only its newest grasp, and train without it.
 
-        Raises RequestRefused if it was not taught, and TrainingSetMissing if its grasps are not
-        available. Raises CellError if ``last`` leaves too few of it; nothing is forgotten then.
+        Raises CellError if ``last`` leaves too few of it; nothing is forgotten then.
         """
-        self.check_extendable()
         before = self.training_set
         taught = [index for index, grasp in enumerate(before) if grasp.label == label]
-        if not taught:
-            raise RequestRefused(f"{label!r} is not taught; {', '.join(self.labels) or 'nothing'}")
         gone = set(taught[-1:] if last else taught)
         needed = label if last and label in self.labels else ""
         self.training_set = tuple(g for index, g in enumerate(before) if index not in gone)

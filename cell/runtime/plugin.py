@@ -144,8 +144,8 @@ class TactileCellPlugin:
             Before any hardware is touched.
         gripper.errors.GripperError, tactile.errors.TactileError
             If a device is missing or differs from the config. A servo at fault, or a part that an
-            earlier run left in the grip, does not raise: the cell is then ABORTED, and `fault`
-            returns why. Use `clear` and `release`.
+            earlier run left in the grip, does not raise: the cell is then ABORTED, and
+            `status` has the reason. Use `clear` and `release`.
         """
         checked = (
             config
@@ -298,11 +298,6 @@ class TactileCellPlugin:
         return self.cell.recording_path
 
     @property
-    def labels(self) -> tuple[str, ...]:
-        """The taught objects."""
-        return self.model.labels
-
-    @property
     def labels_by_id(self) -> tuple[str, ...]:
         """Names by label id, from 1: ``serve.objects`` of the config, then other taught labels."""
         return self._parts.labels
@@ -323,15 +318,10 @@ class TactileCellPlugin:
         with self._lease.calling("the host"):
             return
 
-    @property
-    def taught_revision(self) -> int:
-        """Changes of what is taught so far."""
-        return self.model.revision
-
     def taught(self) -> list[dict[str, Any]]:
         """Return the taught objects as plain data: available grasps, shape and size in mm.
 
-        Another thread reads missing shapes; they are None until then. `taught_revision` changes
+        Another thread reads missing shapes; they are None until then. `revision` of `model` changes
         with each.
         """
         with self._starting:

@@ -285,7 +285,7 @@ class Tasks:
         Raises
         ------
         cell.errors.NoPartFound, cell.errors.CellStopped, and errors of the devices
-            As `cell.learning.labelled_grasps.teach`; the next teaching uses the grasps until then.
+            As `Collection.fill`; the next teaching uses the grasps until then.
         CellError
             If there are too few taught grasps for a training; they are kept too. CellStateError if
             the training set of the loaded model is not available: its objects would be lost.
@@ -293,7 +293,6 @@ class Tasks:
             If the model cannot be written; it is in use.
         """
         self.file.due = True
-        self.model.check_extendable()
         collection = Collection(label=goal.label, n_planned=goal.grasps, present=goal.present)
         try:
             values = self._fill(collection, goal, report)
@@ -322,7 +321,6 @@ class Tasks:
         Raises as `Collection.fill`; nothing changes then. Raises CellError if the grasps show no
         drift, or if the model cannot be written; it is then in use.
         """
-        self.model.check_gauge(goal.label)
         collection = Collection(label=goal.label, n_planned=goal.grasps, present=goal.present)
         values = self._fill(collection, goal, report)
         gauged = self.model.gauge(goal.label, collection.grasps)

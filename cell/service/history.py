@@ -12,7 +12,6 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -158,17 +157,10 @@ def began_s(now_s: float, begins_h: Sequence[float]) -> float:
     return max(begin for at in begins if (begin := at.timestamp()) <= now_s)
 
 
-@dataclass(slots=True)
-class Sum:
-    """Number and sum of values."""
-
-    n: int = 0
-    sum: float = 0.0
-
-    def add(self, value: float) -> None:
-        """Count one value."""
-        self.n += 1
-        self.sum += value
+def _add_value(summary: dict[str, float], value: float) -> None:
+    """Add a value to a number of values and their sum."""
+    summary["_count"] += 1
+    summary["_sum"] += value
 
 
 class Totals:
@@ -178,10 +170,10 @@ class Totals:
         self.parts: Counter[tuple[str, str]] = Counter()
         """Parts by label and result: ``named``, ``unknown``, ``rejected`` (named, but released at
         the place of the rejects) or ``missed`` (no part found; without label)."""
-        self.cycles_s = Sum()
-        """Time of each part in s, as `Part.seconds`."""
-        self.force_errors_n = Sum()
-        """Distance in N between force and set-point at the end of each grasp of a part."""
+        self.cycles_s = {"_count": 0.0, "_sum": 0.0}
+        """Time of each part in s, as `Part.seconds`: ``_count`` and ``_sum``."""
+        self.force_errors_n = {"_count": 0.0, "_sum": 0.0}
+        """Distance in N between force and set-point at the end of each grasp, likewise."""
 
     def add(self, part: Part, identification: Identification | None) -> None:
         """Count a part with its grasps, or a turn without a part."""
@@ -190,10 +182,10 @@ class Totals:
             return
         named = "rejected" if part.rejected else "named"
         self.parts[part.label, "unknown" if part.label == UNKNOWN else named] += 1
-        self.cycles_s.add(part.seconds)
+        _add_value(self.cycles_s, part.seconds)
         for record in () if identification is None else identification.records:
             wanted_n = record.cycles[-1].setpoint_n
-            self.force_errors_n.add(abs(record.outcome.final_force_n - wanted_n))
+            _add_value(self.force_errors_n, abs(record.outcome.final_force_n - wanted_n))
 
 
 VERSION = 2

@@ -631,7 +631,7 @@ def state_values(service: Service) -> dict[str, Any]:
                 for task, error in service.allowed().items()
             },
             "fault": _fault(service, now.status),
-            "taught_revision": service.plugin.taught_revision,
+            "taught_revision": service.plugin.model.revision,
             "health": service.plugin.health(),
             "shift": service.shift.values(),
         }

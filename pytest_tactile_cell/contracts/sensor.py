@@ -64,7 +64,6 @@ def started(
             open_serial=[partial(cell.open_board, n) for n in n_lines],
             can_bus=cell.can_bus,
             reopen_can=partial(open_can_bus, cell),
-            real_time=False,
         )
         source = frame_source(config.tactile, lines)
         if start:

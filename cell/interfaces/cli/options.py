@@ -53,10 +53,7 @@ def _json_file(path: Path | None) -> Path | None:
 
 
 Json = Annotated[
-    Path | None,
-    typer.Option(
-        "--json", callback=_json_file, help="Also write the result to this file, as JSON."
-    ),
+    Path | None, typer.Option("--json", callback=_json_file, help="Also write the result as JSON.")
 ]
 Out = Annotated[
     Path | None,
@@ -70,30 +67,21 @@ MAX_SEED = 2**32 - 1
 Seed = Annotated[
     int | None,
     typer.Option(
-        "--seed",
-        help="Seed of poses and noise [default: the config key seed].",
-        min=0,
-        max=MAX_SEED,
-        metavar="N",
+        "--seed", help="Seed [default: that of the config].", min=0, max=MAX_SEED, metavar="N"
     ),
 ]
 Model = Annotated[Path | None, typer.Option("--model", "-m", help="File of a taught model.")]
 FolderModel = Annotated[
     Path | None,
     typer.Option(
-        "--model",
-        "-m",
-        help="File of a taught model [default: that of the last `model train` in this folder].",
+        "--model", "-m", help="Taught model [default: that of the last `model train` here]."
     ),
 ]
 ModelOut = Annotated[Path, _ending(".npz", "model file")]
 DatasetOut = Annotated[Path, _ending(".npz", "data set")]
 RecordingOut = Annotated[Path | None, _ending(".mcap", "recording")]
 Grasps = Annotated[
-    Path | None,
-    typer.Argument(
-        help="Recorded grasps, a data set or a recording; without them, the cell grasps."
-    ),
+    Path | None, typer.Argument(help="Recorded grasps; without them the cell grasps.")
 ]
 Faults = Annotated[
     list[str] | None,
@@ -110,15 +98,11 @@ Cells = Annotated[
 ]
 Days = Annotated[
     str | None,
-    typer.Option(
-        "--days", help="Only grasps of a day, for example 2027-01-15, or of FIRST..LAST (UTC)."
-    ),
+    typer.Option("--days", help="Only grasps of a day, as 2027-01-15, or of FIRST..LAST (UTC)."),
 ]
 Objects = Annotated[
     list[str] | None,
-    typer.Option(
-        "--object", metavar="NAME", help="Only grasps of this object; repeat for several."
-    ),
+    typer.Option("--object", metavar="NAME", help="Only grasps of this object; repeat for more."),
 ]
 
 

@@ -27,7 +27,7 @@ from cell.errors import (
     RecordingError,
 )
 from cell.fault_catalogue import EXPECTED_ERRORS, fault_number
-from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
+from cell.interfaces.cli.signals import NOTHING_LET_GO, stopping
 from cell.interfaces.cli.terminal import (
     ask,
     print_cell,
@@ -140,7 +140,7 @@ def cell_of_earlier_run(config: CellConfig) -> Iterator[Cell]:
     for text in cell.controller.hand.missing:
         print_note(f"{text}; steps that need it are left out")
     try:
-        with stopping(cell.controller.life.interrupt, end_within_s=END_WITHIN_S):
+        with stopping(cell.controller.life.interrupt):
             yield cell
     finally:
         cell.close()
@@ -227,10 +227,7 @@ def running_cell(
         )
     done = False
     try:
-        with (
-            stopping(plugin.interrupt, end_within_s=END_WITHIN_S, left=NOTHING_LET_GO),
-            _closing(plugin),
-        ):
+        with stopping(plugin.interrupt, left=NOTHING_LET_GO), _closing(plugin):
             for note in (before := _notes(plugin)):
                 print_note(note)
             with progress_bar() as progress:

@@ -23,14 +23,12 @@ END_WITHIN_S = 0.4
 
 
 @contextmanager
-def stopping(
-    cancel: Callable[[], None], *, end_within_s: float | None = None, left: str = ""
-) -> Iterator[None]:
+def stopping(cancel: Callable[[], None], *, left: str = "") -> Iterator[None]:
     """Within the block the first signal calls ``cancel``; a second raises KeyboardInterrupt.
 
-    With ``end_within_s`` the second signal prints an error at once, followed by ``left``. After
-    that time the program ends with exit code 1; further signals have no effect. The recording can
-    be recovered, and the grip is kept.
+    The second signal prints an error at once, followed by ``left``. After `END_WITHIN_S` the
+    program ends with exit code 1; further signals have no effect. The recording can be recovered,
+    and the grip is kept.
 
     The end of the parent process counts as a signal. A program that was started with SIGHUP
     ignored (``nohup``) keeps running without terminal and parent.
@@ -42,12 +40,11 @@ def stopping(
         seen += 1
         cancel()  # the second signal may interrupt the first before this call
         if seen > 1:
-            if end_within_s is not None:
-                for number in watched:
-                    signal.signal(number, signal.SIG_IGN)
-                _end_after(end_within_s)
-                with suppress(OSError):
-                    os.write(2, f"\nerror: {INTERRUPTED}{left}\n".encode())
+            for number in watched:
+                signal.signal(number, signal.SIG_IGN)
+            _end_after(END_WITHIN_S)
+            with suppress(OSError):
+                os.write(2, f"\nerror: {INTERRUPTED}{left}\n".encode())
             raise KeyboardInterrupt
 
     outlives = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
@@ -63,7 +60,7 @@ def stopping(
     finally:
         over.set()
         # A third signal must not delay a program that is about to end.
-        if seen < 2 or end_within_s is None:
+        if seen < 2:
             for number, handler in before.items():
                 signal.signal(number, handler)
 

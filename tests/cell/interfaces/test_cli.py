@@ -806,8 +806,9 @@ def test_a_program_under_nohup_outlives_terminal_and_parent(monkeypatch, undo) -
 def test_a_second_signal_leaves_little_time_to_close_files(hanging) -> None:
     program = f"""
 import os, signal, time
-from cell.interfaces.cli.signals import stopping
-with stopping(lambda: None, end_within_s=0.05, left='; the grip is kept'):
+from cell.interfaces.cli import signals
+signals.END_WITHIN_S = 0.05
+with signals.stopping(lambda: None, left='; the grip is kept'):
     try:
         os.kill(os.getpid(), signal.SIGTERM)
         os.kill(os.getpid(), signal.SIGTERM)
@@ -840,9 +841,10 @@ main()
 def test_a_third_signal_does_not_cut_off_what_the_second_leaves_time_for() -> None:
     program = """
 import os, signal, time
-from cell.interfaces.cli.signals import stopping
+from cell.interfaces.cli import signals
+signals.END_WITHIN_S = 30.0
 try:
-    with stopping(lambda: None, end_within_s=30.0):
+    with signals.stopping(lambda: None):
         try:
             os.kill(os.getpid(), signal.SIGINT)
             os.kill(os.getpid(), signal.SIGINT)

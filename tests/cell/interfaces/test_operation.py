@@ -47,7 +47,7 @@ from cell.interfaces.cli.commands.service import (
 )
 from cell.interfaces.opening import open_interfaces
 from cell.recording.reader import RecordedMessages
-from cell.service.history import Sum, Totals
+from cell.service.history import Totals
 from cell.service.service import RELEASE_KEY
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.errors import GripperError
@@ -249,13 +249,13 @@ def received(link: socket.socket) -> list[str]:
 def test_the_watchdog_is_fed_only_while_the_cell_works(notify) -> None:
     name, link = notify
     manager = ServiceManager({"NOTIFY_SOCKET": name, "WATCHDOG_USEC": "30000000"})
-    manager.ready()
+    manager.send("READY=1")
     manager.report("IDLE", working=False)
     assert received(link) == ["READY=1", "STATUS=IDLE"]
     manager.report("IDLE", working=True)
     manager.report("IDLE", working=True)  # at once: the watchdog needs no more
     manager.report("ABORTED, a part may be held, fault 506", working=True)
-    manager.stopping()
+    manager.send("STOPPING=1")
     assert received(link) == [
         "WATCHDOG=1",
         "STATUS=ABORTED, a part may be held, fault 506",
@@ -270,8 +270,8 @@ def test_a_watchdog_of_another_process_and_a_manager_that_is_gone_are_left_alone
     other = {"NOTIFY_SOCKET": name, "WATCHDOG_USEC": "1000", "WATCHDOG_PID": "1"}
     ServiceManager(other).report("IDLE", working=True)
     assert received(link) == ["STATUS=IDLE"]
-    ServiceManager({}).ready()
-    ServiceManager({"NOTIFY_SOCKET": str(tmp_path / "gone")}).ready()
+    ServiceManager({}).send("READY=1")
+    ServiceManager({"NOTIFY_SOCKET": str(tmp_path / "gone")}).send("READY=1")
 
 
 # -- the container -----------------------------------------------------------------------------
@@ -390,8 +390,8 @@ def test_each_result_of_a_part_is_counted() -> None:
         (UNKNOWN, "unknown"): 1,
         ("", "missed"): 1,
     }
-    assert totals.cycles_s == Sum(n=3, sum=210.0)
-    assert (totals.force_errors_n.n, totals.force_errors_n.sum) == (6, pytest.approx(0.6))
+    assert totals.cycles_s == {"_count": 3, "_sum": 210.0}
+    assert totals.force_errors_n == {"_count": 6, "_sum": pytest.approx(0.6)}
 
 
 def test_metrics_need_a_token_and_health_does_not(connect) -> None:

@@ -74,7 +74,7 @@ def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(make_plugin: Any)
     ) as failed:
         done(plugin, TeachGoal(label="pin", grasps=1, present="ball"))
     assert failed.value.fault_number == 519
-    assert (plugin.labels, plugin.status().state) == ((), "IDLE")
+    assert (plugin.model.labels, plugin.status().state) == ((), "IDLE")
     plugin.cell.controller.zeros.keep(SelfZero.from_values([1e-4, 1e-4, 0.1, 0.02, 8.0, 0.2]))
     job = plugin.start(TeachGoal(label="pin", grasps=2, present="ball", seed=1))
     assert plugin.result(job, LIMIT_S) == 2
@@ -86,7 +86,7 @@ def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(make_plugin: Any)
     assert "1 of 3 grasps have no self-zero" in taught["zero_note"]
     expected = {"task": "teach", "label": "pin", "grasps": 2, "missed": 0, "of": 2, "unreached": ""}
     assert progress == expected
-    assert plugin.labels == ("pin",)
+    assert plugin.model.labels == ("pin",)
 
 
 def test_a_teaching_that_was_stopped_early_blocks_no_other(make_plugin, monkeypatch) -> None:
@@ -101,13 +101,13 @@ def test_a_teaching_that_was_stopped_early_blocks_no_other(make_plugin, monkeypa
     assert plugin.result(job, LIMIT_S) == 1
     assert plugin.feedback(job).progress["taught"]["left_out"] == ["box"]
     assert {grasp.label for grasp in compared.call_args.args[0]} == {"ball"}
-    assert plugin.labels == ("ball",)
+    assert plugin.model.labels == ("ball",)
     plugin.train()
     assert notes == ["left out for too few grasps: box; teach or forget them"]
     for label, last, left in (("box", True, 5), ("ball", False, 1), ("box", False, 0)):
         plugin.result(plugin.forget(label, last=last), LIMIT_S)
         assert len(plugin.model.training_set) == left
-        assert plugin.labels == (("ball",) if left == 5 else ())
+        assert plugin.model.labels == (("ball",) if left == 5 else ())
     with pytest.raises(RequestRefused, match="'box' is not taught"):
         plugin.forget("box")
 
@@ -118,7 +118,7 @@ def test_an_own_name_is_taught_with_what_lies_between_the_fingers(plugin: Any) -
     with pytest.raises(CellStateError, match="nothing is between the fingers"):
         plugin.start(TeachGoal(label="my mug"))
     exec(typed.replace('"grasps": 6', '"grasps": 1'), {"cell": plugin})
-    assert plugin.labels == ("ball", "box", "my mug")
+    assert plugin.model.labels == ("ball", "box", "my mug")
     assert (plugin.status().state, plugin.simulate({"state": True})["placed"]) == ("IDLE", None)
     parts: list[Part] = []
     plugin.watch_parts(lambda part, _grasps: parts.append(part))
@@ -334,7 +334,7 @@ def test_teaching_beside_a_loaded_model_needs_the_grasps_that_trained_it(
     plugin.save(tmp_path / "parts.model.npz")
     assert len(read_dataset(tmp_path / "parts.model.grasps.npz")) == 13
     again = make_plugin(model=str(tmp_path / "parts.model.npz"))
-    assert again.labels == plugin.labels == ("ball", "box", "oval")
+    assert again.model.labels == plugin.model.labels == ("ball", "box", "oval")
     notes: list[str] = []
     old = {"model": tmp_path / "parts.model.npz", "training_set": taught.result.dataset}
     again = make_plugin(**old, note=notes.append)
@@ -373,7 +373,7 @@ def test_each_teaching_is_saved_before_its_job_succeeds(
     plugin.save(path)
     assert [grasp.label for grasp in read_dataset(tmp_path / "m.grasps.npz")].count("cup") == 2
     assert path.read_bytes() != before
-    assert make_plugin(model=path).labels == ("ball", "box")
+    assert make_plugin(model=path).model.labels == ("ball", "box")
 
 
 def test_a_teaching_that_cannot_be_saved_says_so_and_is_tried_again_and_at_the_end(
@@ -392,7 +392,7 @@ def test_a_teaching_that_cannot_be_saved_says_so_and_is_tried_again_and_at_the_e
     done(plugin, VerifyGoal())
     assert not path.exists()  # a part is held: nothing but its watch counts
     plugin.release()
-    assert make_plugin(model=path).labels == ("ball", "box")
+    assert make_plugin(model=path).model.labels == ("ball", "box")
     shutil.rmtree(where)
     done(plugin, TeachGoal(label="ball", grasps=1, train=False))
     for fails in (plugin.train, plugin.close):

@@ -24,10 +24,7 @@ def add(
         str, typer.Option("--cell", help="Name of the cell, for grasps without one.")
     ] = "",
     jobs: Annotated[
-        int,
-        typer.Option(
-            "--jobs", min=0, metavar="N", help="Processes that share the work, 0: one per core."
-        ),
+        int, typer.Option("--jobs", min=0, metavar="N", help="Processes; 0: one per core.")
     ] = 1,
     json_file: options.Json = None,
 ) -> None:

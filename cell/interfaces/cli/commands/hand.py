@@ -20,8 +20,7 @@ from gripper.errors import ServoFault
 from motion.errors import MotionError
 
 NamedConfigOption = Annotated[
-    Path | None,
-    typer.Option("--config", "-c", help="Config file of the cell that holds the part; required."),
+    Path | None, typer.Option("--config", "-c", help="Config file of the cell; required.")
 ]
 
 
@@ -77,10 +76,7 @@ def release(
 def clear(
     config: NamedConfigOption = None,
     reboot: Annotated[
-        bool,
-        typer.Option(
-            "--reboot", help="Restart servos that report an error; a part that they hold may fall."
-        ),
+        bool, typer.Option("--reboot", help="Restart servos with an error; their part may fall.")
     ] = False,
 ) -> None:
     """Show torque and errors of servos and axes, and clear them; nothing moves.

@@ -36,10 +36,7 @@ def identify(
         str | None, typer.Option("--object", help="Object in the simulated cell.")
     ] = None,
     follow: Annotated[
-        bool,
-        typer.Option(
-            "--follow", help="With DATASET: correct the drift of the sensors through its grasps."
-        ),
+        bool, typer.Option("--follow", help="With DATASET: follow the drift of the sensors.")
     ] = False,
     keep: Annotated[
         Literal["never", "when-named", "always"],

@@ -107,10 +107,7 @@ def calibrate(
     ] = None,
     model: options.FolderModel = None,
     grasps: Annotated[
-        int,
-        typer.Option(
-            "--grasps", "-n", min=1, max=100, metavar="N", help="Grasps of each gauge object."
-        ),
+        int, typer.Option("--grasps", "-n", min=1, max=100, metavar="N", help="Grasps of each.")
     ] = 3,
     config: options.Config = None,
     out_folder: options.Out = None,
@@ -190,8 +187,7 @@ def evaluate(
         list[str], typer.Argument(help="Archives, data sets or recordings of labelled grasps.")
     ],
     train_on: Annotated[
-        str | None,
-        typer.Option("--train", help="Train on this file or archive, test on all of DATASETS."),
+        str | None, typer.Option("--train", help="Train on this file or archive, test on DATASETS.")
     ] = None,
     split: Annotated[
         str,

@@ -44,8 +44,7 @@ def report(
         Path, typer.Argument(help="Recording of a run, an identification or a sort.")
     ],
     output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Page to write [default: beside the recording]."),
+        Path | None, typer.Option("--output", "-o", help="Page to write [default: beside it].")
     ] = None,
 ) -> None:
     """Write the report page of a recording: one HTML file for a browser.

@@ -23,9 +23,7 @@ from recognition.recognizer import UNKNOWN
 
 ObjectsOption = Annotated[
     list[str] | None,
-    typer.Option(
-        "--object", metavar="NAME", help="Object; repeat for several [default: all configured]."
-    ),
+    typer.Option("--object", metavar="NAME", help="Object; repeat for several [default: all]."),
 ]
 
 
@@ -36,10 +34,7 @@ def run(
         int, options.taught_grasps("Number of grasps to teach for each object.")
     ] = 20,
     trials: Annotated[
-        int,
-        typer.Option(
-            "--trials", min=1, max=1000, metavar="N", help="Identifications of each object."
-        ),
+        int, typer.Option("--trials", min=1, max=1000, metavar="N", help="Trials of each object.")
     ] = 10,
     out_folder: options.Out = None,
     seed: options.Seed = None,

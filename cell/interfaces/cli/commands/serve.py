@@ -28,7 +28,7 @@ from cell.interfaces.cli.session import (
     removed_if_unused,
     with_faults,
 )
-from cell.interfaces.cli.signals import END_WITHIN_S, NOTHING_LET_GO, stopping
+from cell.interfaces.cli.signals import NOTHING_LET_GO, stopping
 from cell.interfaces.cli.terminal import err, print_note, print_page, print_view
 from cell.interfaces.opening import open_interfaces, page_address, view_note, warnings
 from cell.service.service import Service, open_service
@@ -50,25 +50,18 @@ class ServiceManager:
         self._due_s = -inf if limit_us else inf
         self._status = ""
 
-    def ready(self) -> None:
-        """Send that the cell accepts commands."""
-        self._send("READY=1")
-
-    def stopping(self) -> None:
-        """Send that the cell ends on purpose."""
-        self._send("STOPPING=1")
-
     def report(self, status: str, *, working: bool) -> None:
         """Send a new status, one line for people, and feed the watchdog while the cell works."""
         if status != self._status:
             self._status = status
-            self._send(f"STATUS={status}")
+            self.send(f"STATUS={status}")
         now_s = time.monotonic()
         if working and now_s >= self._due_s:
             self._due_s = now_s + self._feed_every_s
-            self._send("WATCHDOG=1")
+            self.send("WATCHDOG=1")
 
-    def _send(self, state: str) -> None:
+    def send(self, state: str) -> None:
+        """Send a state, for example ``READY=1``."""
         if self._address:
             # If the service manager is gone or does not read, the cell has no fault.
             with (
@@ -87,15 +80,11 @@ _FIRST_GRASPS = 10
 
 TrainingSetOption = Annotated[
     Path | None,
-    typer.Option(
-        "--training-set", help="Data set that trained the model [default: the one in its folder]."
-    ),
+    typer.Option("--training-set", help="Data set that trained the model [default: beside it]."),
 ]
 SaveOption = Annotated[
     Path | None,
-    typer.Option(
-        "--save", help="Model file to write after each teaching: a new one, or that of --model."
-    ),
+    typer.Option("--save", help="Model file to write after each teaching, new or that of --model."),
 ]
 
 
@@ -184,7 +173,7 @@ def serve(
         over.set()
 
     with (
-        stopping(stop, end_within_s=END_WITHIN_S, left=NOTHING_LET_GO),
+        stopping(stop, left=NOTHING_LET_GO),
         closing(service),
         suppress(CellStopped),
         # Before anything moves, so that a used port or a bad token file ends it here.
@@ -197,9 +186,9 @@ def serve(
                 _teach_first(service, over)
             service.plugin.follow_real_time(speed)
             manager = ServiceManager()
-            manager.ready()
+            manager.send("READY=1")
             report_until(over, service, manager)
-            manager.stopping()
+            manager.send("STOPPING=1")
         finally:
             if config is not None and service.plugin.status().holding:
                 print_note(f"a part may be in the grip; to release it: {release_command(config)}")

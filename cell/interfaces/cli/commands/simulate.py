@@ -13,8 +13,8 @@ from cell.interfaces.cli import options
 from cell.interfaces.cli.session import cell_config
 from cell.interfaces.cli.terminal import ask, print_error, print_line
 from cell.runtime.simulate import serve_simulated_cell
-from cell.simulation import fault_table
 from simulator.errors import SimulatorError
+from simulator.faults.vocabulary import VOCABULARY
 from simulator.realtime.hands import Hands
 
 
@@ -22,16 +22,12 @@ def simulate(
     config: options.Config = None,
     folder: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            help="Folder for device links and a matching config [default: a temporary one].",
-        ),
+        typer.Option("--out", help="Folder of device links and config [default: a new one]."),
     ] = None,
     seed: options.Seed = None,
     faults: options.Faults = None,
     list_faults: Annotated[
-        bool,
-        typer.Option("--list-faults", help="Print all faults (--fault NAME=VALUE@TIME), and end."),
+        bool, typer.Option("--list-faults", help="Print all faults (NAME=VALUE@TIME), and end.")
     ] = False,
     ask: Annotated[
         str | None,
@@ -54,8 +50,10 @@ def simulate(
         _be_hands(folder or Path(), ask)
         return
     if list_faults:
-        for name, value, meaning in fault_table():
-            print_line(f"{name:<22} {meaning}" + (f" [{value}]" if value else ""))
+        for one in VOCABULARY.values():
+            moment = " (a moment, without end)" if one.moment else ""
+            value = f" [{one.value.text}]" if one.value else ""
+            print_line(f"{one.name:<22} {one.meaning}{moment}{value}")
         return
     serve_simulated_cell(
         cell_config(config, seed=seed, faults=faults, simulate=True),

@@ -65,8 +65,7 @@ def teach(
         ),
     ] = "",
     present: Annotated[
-        str | None,
-        typer.Option("--object", help="Object in the simulated cell [default: that label]."),
+        str | None, typer.Option("--object", help="Simulated object [default: that label].")
     ] = None,
     config: options.Config = None,
     out_folder: options.Out = None,
