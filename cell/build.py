@@ -248,6 +248,8 @@ def _hand(config: CellConfig, simulated: SimulatedCell | None, *, partial: bool)
     lines = HandConnections(
         lambda: open_servo_port(simulated),
         lambda: open_can_bus(simulated),
+        stream=simulated.servo_port,
+        can_bus=simulated.can_bus,
         open_boards=[
             functools.partial(simulated.open_board, n) for n in range(len(simulated.board_streams))
         ],

@@ -21,6 +21,8 @@ class HandConnections:
         Open a line; raise PortLost or BusNotOpened if it cannot be opened.
     partial
         Whether one of both may be missing: each call of it then raises the reason.
+    stream, can_bus
+        Open lines that belong to the caller.
     open_boards
         Open the serial lines of the sensor's boards, by finger; the frame source does so.
     """
@@ -31,16 +33,19 @@ class HandConnections:
         open_can: Callable[[], CanBus],
         *,
         partial: bool = False,
+        stream: ByteStream | None = None,
+        can_bus: CanBus | None = None,
         open_boards: Sequence[Callable[[], ByteStream]] = (),
     ) -> None:
         self.open_boards = open_boards
         self._open_servos = open_servos
         self._open_can = open_can
+        self._owned = stream is None or can_bus is None
         self._missing: dict[str, Exception] = {}
-        self.can_bus = self._can_or(BusNotOpened if partial else ())
+        self.can_bus = can_bus or self._can_or(BusNotOpened if partial else ())
         try:
             others = PortLost if partial and not self._missing else ()
-            self.stream = self._servos_or(others)
+            self.stream = stream or self._servos_or(others)
         except PortLost as error:
             close_bus(self.can_bus)
             both = [str(error), *(str(other) for other in self._missing.values())]
@@ -53,20 +58,23 @@ class HandConnections:
 
     def reopen_servos(self) -> ByteStream:
         """Reopen the servo line and return it. Raises PortLost if it cannot be opened."""
-        self.stream.close()
+        if self._owned:
+            self.stream.close()
         self.stream = self._servos_or(())
         return self.stream
 
     def reopen_can(self) -> CanBus:
         """Reopen the CAN bus and return it. Raises BusNotOpened if it cannot be opened."""
-        close_bus(self.can_bus)
+        if self._owned:
+            close_bus(self.can_bus)
         self.can_bus = self._can_or(())
         return self.can_bus
 
     def close(self) -> None:
         """Close the lines that were opened here."""
-        self.stream.close()
-        close_bus(self.can_bus)
+        if self._owned:
+            self.stream.close()
+            close_bus(self.can_bus)
 
     def _servos_or(self, accepted: type[Exception] | tuple[()]) -> ByteStream:
         try:

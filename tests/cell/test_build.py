@@ -442,6 +442,16 @@ def test_a_clear_opens_a_port_that_turns_out_to_be_lost() -> None:
     hand.bus.port.use.assert_called_once_with(hand._lines.reopen_servos())
 
 
+def test_ends_of_somebody_else_are_not_closed(openers) -> None:
+    (servos, can), stream, bus = openers, Mock(), Mock()
+    lines = HandConnections(servos, can, stream=stream, can_bus=bus)
+    assert (lines.stream, lines.can_bus) == (stream, bus)
+    assert lines.reopen_servos() is servos.return_value
+    lines.close()
+    for close in (stream.close, bus.shutdown, servos.return_value.close):
+        close.assert_not_called()
+
+
 # -- Plugins: what is built in, packages of others, names that clash, and modules that do not load -
 
 

@@ -606,9 +606,9 @@ def test_a_force_above_the_cap_is_found(cell: Driver) -> None:
 
 
 def test_frames_that_nobody_scanned_are_found(cell: Driver) -> None:
-    cell.simulated.clock.on_advance.remove(cell._watch_scans)
     cell._watch_scans = lambda _now_s: None  # type: ignore[method-assign]
     cell._scanned.clear()
+    cell.simulated.clock.on_advance.pop()
     with pytest.raises(InvariantBroken, match="never scanned"):
         cell.identify(3.0)
 
