@@ -334,7 +334,10 @@ class Gripper:
             raise LimitExceeded(f"duration_s is {duration_s}, must be above 0")
         with self._life.command("hold", observer):
             self._make_ready()
-            return self._runner.run(HoldStep(self.settings, control, duration_s).step)
+            state = self._runner.run(HoldStep(self.settings, control, duration_s).step)
+            if self._carried is not None:
+                self._servos.disarm_watchdog()
+        return state
 
     def hold_at(
         self, force_n: float, duration_s: float = 0.0, observer: Observer | None = None
@@ -528,8 +531,8 @@ class Gripper:
         The goals of a grip are frozen; moving fingers stop.
         """
         self._life.state.stop_request.set()
-        if self._one is not None:
-            self._one.request_stop()
+        if (one := self._one) is not None:
+            one.request_stop()
 
     def keep_grip(self) -> None:
         """Freeze in any state: no new goals, torque unchanged, bus watchdog disarmed.
@@ -633,7 +636,12 @@ class Gripper:
         with self._life.command("grasp", observer):
             self._make_ready()
             self._life.part_possible = True
-            outcome = run(ramp)
+            try:
+                outcome = run(ramp)
+            except BaseException:
+                # A stop before the ramp leaves a part whose force nothing can control.
+                self._life.controlled &= self._grasping.control is not None
+                raise
             held = outcome.result in (GraspResult.FORCE_REACHED, GraspResult.FORCE_NOT_REACHED)
             self._life.part_possible = self._life.controlled = held
         return outcome

@@ -368,10 +368,6 @@ class ServoBus:
         values
             Raw value of each item, by servo ID.
         """
-        if not values:
-            raise LimitExceeded("a sync write needs at least one servo")
-        if not block.writable:
-            raise LimitExceeded(f"{block}: not all are writable")
         params = _words(self._common_address(list(values), block), block.size)
         for servo_id, raws in values.items():
             params += bytes((servo_id,)) + block.encode(raws)

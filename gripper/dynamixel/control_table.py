@@ -175,8 +175,6 @@ class RegisterBlock:
         self._layout = struct.Struct("<" + "".join(r.code for r in registers))
         self.address, self.size = registers[0].address, self._layout.size
         """Address of the first byte, and number of bytes."""
-        self.writable = all(r.writable for r in registers)
-        """Whether all items can be written."""
 
     def __str__(self) -> str:
         return self._text

@@ -18,6 +18,8 @@ EMPTY_SHARE = 0.25
 REACHED_SHARE = 0.8
 """Share of a nominal speed or current above which it counts as reached. Below the rest of it the
 fingers stand. [chosen]"""
+YOUNG_S = 0.75 * FRAME_S
+"""Time in s that is less than a frame takes: newer samples are force messages."""
 BRIEF_S = 5 * FRAME_S
 """Time in s of five frames: what is shorter decides nothing."""
 STEADY_S = 15 * FRAME_S

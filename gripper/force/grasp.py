@@ -13,9 +13,9 @@ from gripper.force.estimates.free_motion import FreeMotion
 from gripper.force.loop import Action, LoopRunner, Moment
 from gripper.force.ramp import ForceRamp
 from gripper.force.supervision.empty_grip import EmptyGrip
-from gripper.force.supervision.slip import LevelSlip
+from gripper.force.supervision.slip import SlipWatch
 from gripper.mechanics.transmission import Mechanics
-from gripper.servos.goal_limits import standing
+from gripper.servos.goal_limits import EQUAL, standing
 from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspOutcome, GraspResult
 from gripper.values.state import GripperPhase, ServoFeedback
@@ -26,8 +26,6 @@ second over the number of these parts, because each is equally likely to be the 
 _HARD = 2.0
 """Least force of a hard touch over the force of a contact. A usual touch must not rest longer: the
 opening after it is the size of the part. [chosen]"""
-_EQUAL_S = 1e-9
-"""Difference of times in s that is ignored: sums of periods are rounded. [chosen]"""
 
 
 class GraspRun:
@@ -105,7 +103,7 @@ class GraspRun:
             return GraspOutcome(result=GraspResult.NO_CONTACT, final_aperture_m=contact.aperture_m)
         self._widest_m = max(self._widest_m, reached.touch_m)
         self._touched += 1
-        return self._press(ramp, reached, slip=LevelSlip(self._settings))
+        return self._press(ramp, reached, slip=SlipWatch(self._settings))
 
     def press_pads_together(self, ramp: ForceRamp) -> GraspOutcome:
         """Close the empty fingers onto each other and follow a ramp, see `Gripper`."""
@@ -119,7 +117,7 @@ class GraspRun:
             self._end.set()
         return self._press(ramp, reached, slip=None)
 
-    def _press(self, ramp: ForceRamp, reached: Approach, *, slip: LevelSlip | None) -> GraspOutcome:
+    def _press(self, ramp: ForceRamp, reached: Approach, *, slip: SlipWatch | None) -> GraspOutcome:
         """Follow a ramp on the touched part; forget a part that is lost on the ramp."""
         self._set_phase(GripperPhase.RAMPING)
         self._ramp_step = step = ContactStep(ramp, reached, self._end, slip=slip)
@@ -148,7 +146,7 @@ class GraspRun:
     def squeeze(self, control: GripControl, ramp: ForceRamp) -> GraspOutcome:
         """Follow a further ramp in the same grip; see `Gripper.squeeze`."""
         begun = ramp.starting_from(control.grip.setpoint_n)
-        step = GripStep(self._settings, control, begun, slip=LevelSlip(self._settings))
+        step = GripStep(self._settings, control, begun, slip=SlipWatch(self._settings))
         return step.outcome(self._runner.run(step.step))
 
     def _approach(self, mechanics: Mechanics) -> Approach:
@@ -243,7 +241,7 @@ class RampTime:
     def settled(self, force_n: float) -> bool:
         """Return whether the ramp is over and its force reached, or its time is over."""
         left_s = self.ramp.duration_s - self.elapsed_s
-        if left_s > _EQUAL_S or self._waited_s is not None:
+        if left_s > EQUAL or self._waited_s is not None:
             return False
         final_n = self.ramp.final_n
         return (
@@ -274,7 +272,7 @@ class GripStep:
         control: GripControl | None,
         ramp: ForceRamp,
         *,
-        slip: LevelSlip | None = None,
+        slip: SlipWatch | None = None,
     ) -> None:
         self.control = control
         """Control of the grip force; None before it began."""
@@ -356,7 +354,7 @@ class ContactStep(GripStep):
     """
 
     def __init__(
-        self, ramp: ForceRamp, reached: Approach, end: threading.Event, *, slip: LevelSlip | None
+        self, ramp: ForceRamp, reached: Approach, end: threading.Event, *, slip: SlipWatch | None
     ) -> None:
         super().__init__(reached.settings, None, ramp, slip=slip)
         self._reached, self._contact = reached, reached.state
@@ -390,7 +388,7 @@ class ContactStep(GripStep):
         """Return whether to end the ramp now: requested, not over, and enough to hold a part."""
         return (
             self._end.is_set()
-            and self._time.ramp.duration_s - self._time.elapsed_s > _EQUAL_S
+            and self._time.ramp.duration_s - self._time.elapsed_s > EQUAL
             and self._time.setpoint_n >= self._settings.contact_force_n
         )
 
@@ -401,7 +399,7 @@ class HoldStep(GripStep):
     def __init__(self, settings: GripperSettings, control: GripControl, duration_s: float) -> None:
         held_n = control.grip.setpoint_n
         held = ForceRamp.linear(held_n, 1.0, start_n=held_n)
-        super().__init__(settings, control, held, slip=LevelSlip(settings))
+        super().__init__(settings, control, held, slip=SlipWatch(settings))
         self._left_s = duration_s
 
     def step(self, moment: Moment) -> Action:
@@ -410,7 +408,7 @@ class HoldStep(GripStep):
         return replace(super().step(moment), level=None)
 
     def _over(self, _force_n: float) -> bool:
-        return self._left_s <= _EQUAL_S
+        return self._left_s <= EQUAL
 
 
 def _check_part(control: GripControl, moment: Moment) -> None:

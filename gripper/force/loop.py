@@ -13,6 +13,7 @@ from gripper.errors import (
     LimitExceeded,
     PartLost,
 )
+from gripper.force.certainty import YOUNG_S
 from gripper.force.timing import LoopStatistics, LoopTimer
 from gripper.servos.bus_loss import BusLossMonitor
 from gripper.servos.goal_limits import ServoGoal
@@ -25,9 +26,6 @@ _HEALTH_EVERY = 4
 """Periods between two health checks: each takes a transaction of the period. [chosen]"""
 _LONGEST_STEP = 2.0
 """Longest step of control in periods: after a late period nothing catches up. [chosen]"""
-YOUNG_S = 0.015
-"""Largest age in s of a sample to which the drive may respond at once: force messages are newer,
-frames are older. Braking at a first touch is then useful. [tuned]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -35,7 +35,7 @@ _SINGLE_SAMPLE = 3.0
 factor grows with their noise over that of the mean."""
 _ROUNDING_A = 0.005
 """Tolerance in A of a goal current above its cap: two counts of 2.69 mA."""
-_EQUAL = 1e-9
+EQUAL = 1e-9
 """Difference, in A or rad, that counts as equal."""
 _EQUAL_ANGLE_RAD = 1e-6
 """Difference of angles in rad that counts as inside the range; a pulse is 1.5e-3 rad."""
@@ -348,8 +348,8 @@ class GoalWriter:
         lowering = opening = True
         for index, (goal, servo) in enumerate(zip(goals, state.servos, strict=True)):
             self._check_goal(index, goal, state)
-            lowering &= goal.current_a <= self._previous_a[index] + _EQUAL
-            opening &= goal.angle_rad >= servo.angle_rad - _EQUAL
+            lowering &= goal.current_a <= self._previous_a[index] + EQUAL
+            opening &= goal.angle_rad >= servo.angle_rad - EQUAL
         if not lowering and not opening:
             paths = self._mechanics.transmissions(state.angles_rad)
             for servo, path, goal in zip(state.servos, paths, goals, strict=True):

@@ -21,13 +21,13 @@ _PAUSE_MS = 60
 """Time in ms between two positions that are not compared: less than the longest line. [chosen]"""
 _NEWEST, _FEWEST = 2, 5
 """Newest positions that earlier ones must foretell, and fewest positions for this. [chosen]"""
-_UNSURE_COUNTS = 1.5
+UNSURE_COUNTS = 1.5
 """Counts by which a position may be off a line: half of one by rounding, and a dither of one."""
 
 
 def still_rad(model: ServoModel) -> float:
     """Return the way in rad below which a servo may stand: its count differs by one."""
-    return _UNSURE_COUNTS * model.rad_per_pulse
+    return UNSURE_COUNTS * model.rad_per_pulse
 
 
 def slow_rad_s(model: ServoModel) -> float:

@@ -7,16 +7,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
+from scipy import sparse
 
 from tactile.layout import TaxelLayout
 
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 """One value for each taxel, (n_taxels,)."""
-_ALL = np.ones((3, 3), dtype=np.bool_)
-_NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=np.bool_)
-"""The 3 x 3 neighbours with the taxel itself, and without it."""
 _START, _KEEP = 5.5, 3.0
 """A region starts at a taxel above the first, and lasts while one is above the second. All limits
 are in standard deviations of the smoothed noise."""
@@ -30,34 +27,16 @@ def _weights(n: int) -> Any:
 
 
 class Neighbourhood:
-    """The 3 x 3 neighbours of each taxel on its own pad: an image of all pads with a rim of 0."""
+    """The 3 x 3 neighbours of each taxel on its own pad, as a sparse matrix."""
 
     def __init__(self, layout: TaxelLayout) -> None:
         self.layout = layout
-        rows, columns = layout.pad_shape.T
-        starts = np.cumsum(columns + 1) - columns
-        self._shape = (int(rows.max()) + 2, int((columns + 1).sum()) + 1)
-        image = np.arange(self._shape[0] * self._shape[1]).reshape(self._shape)
-        self._place = np.concatenate(
-            [
-                image[1 : 1 + height, start : start + width].ravel()
-                for height, width, start in zip(rows, columns, starts, strict=True)
-            ]
-        )
         pads = [
             sparse.kron(_weights(height), _weights(width)) for height, width in layout.pad_shape
         ]
         self._weights = sparse.block_diag(pads, format="csr")
         self._total = self.weighted(np.ones(layout.n_taxels))
-
-    def _image(self, values: NDArray[Any]) -> NDArray[Any]:
-        image = np.zeros((*values.shape[:-1], *self._shape), dtype=values.dtype)
-        image.reshape(*values.shape[:-1], -1)[..., self._place] = values
-        return image
-
-    def _taxels(self, image: NDArray[Any]) -> NDArray[Any]:
-        taxels: NDArray[Any] = image.reshape(*image.shape[:-2], -1)[..., self._place]
-        return taxels
+        self._others = (self._weights - sparse.diags_array(self._weights.diagonal())) > 0.0
 
     def weighted(self, values: Values) -> Values:
         """Return the sum of the neighbours' values (..., n_taxels) by weights of 1, 2 and 4."""
@@ -77,17 +56,15 @@ class Neighbourhood:
 
     def highest_neighbour(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return the highest value of each taxel's up to eight neighbours, which are at least 0."""
-        return self._taxels(
-            ndimage.maximum_filter(self._image(values), footprint=_NEIGHBOURS, mode="constant")
-        )
+        highest: NDArray[Any] = self._others.multiply(values).max(axis=1).toarray().ravel()
+        return highest
 
     def connected(self, seed: Mask, allowed: Mask) -> Mask:
         """Return all allowed taxels with a connection to a seed through allowed ones."""
-        seed = seed & allowed
-        if not seed.any():
-            return seed
-        region = ndimage.binary_propagation(self._image(seed), _ALL, self._image(allowed))
-        return self._taxels(region)
+        region, grown = np.zeros_like(seed), seed & allowed
+        while not np.array_equal(region, grown):
+            region, grown = grown, self.beside(grown) & allowed
+        return grown
 
 
 def fill_bad(hood: Neighbourhood, values: Values, bad: Mask) -> Values:

@@ -1,5 +1,6 @@
 """Force on both fingers as samples for a force loop."""
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from math import inf, sqrt
 from operator import mul
@@ -17,6 +18,8 @@ by a frame, and heavy fingers run too far meanwhile. FlexiTac has 0.04 N, the co
 [chosen]"""
 _LEAST_FORCE_N = 0.1
 """Least grip force in N for the noise of its centre, so that it stays finite."""
+_MOST_FRAMES = 1000
+"""Frames kept for `GripForce.take`: 20 s at 50 Hz; older ones are dropped."""
 _SATURATED = "a taxel of a gripping pad is saturated"
 
 
@@ -45,7 +48,7 @@ class GripForce(Generic[Sample]):
     def __init__(self, sensor: TactileSensor, sample: Callable[..., Sample]) -> None:
         self._sensor = sensor
         self._make = sample
-        self._new: list[TactileReading] = []
+        self._new = deque[TactileFrame](maxlen=_MOST_FRAMES)
         self._centres = ForceCentres(sensor.layout)
         pad = sensor.layout.pads[sensor.layout.gripping_pads[0]]
         self._pitch_m = pad.pitch_x_m, pad.pitch_y_m
@@ -60,7 +63,7 @@ class GripForce(Generic[Sample]):
         """
         if not self._sensor.running:
             return None
-        self._new.extend(self._sensor.poll())
+        self._new.extend(reading.frame for reading in self._sensor.poll())
         messages = self._sensor.take_forces()
         reading = self._sensor.latest
         zero = self._sensor.tare_result
@@ -130,8 +133,9 @@ class GripForce(Generic[Sample]):
 
     def take(self) -> list[TactileFrame]:
         """Return the frames since the last call, oldest first."""
-        taken, self._new = self._new, []
-        return [reading.frame for reading in taken]
+        taken = list(self._new)
+        self._new.clear()
+        return taken
 
 
 def _objection(status: ForceStatus) -> str:

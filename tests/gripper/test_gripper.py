@@ -11,7 +11,13 @@ from gripper import ForceSample, Gripper, RackPinion, open_gripper
 from gripper.dynamixel.control_table import TORQUE_ENABLE
 from gripper.dynamixel.protocol2 import CheckedPacketHandler
 from gripper.dynamixel.serial_port import SdkPort, open_line
-from gripper.errors import GripperStateError, LimitExceeded, PortLost, VerificationFailed
+from gripper.errors import (
+    GraspStopped,
+    GripperStateError,
+    LimitExceeded,
+    PortLost,
+    VerificationFailed,
+)
 from gripper.force.ramp import ForceRamp, largest_ramp_n
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.values.outcome import GraspResult
@@ -87,6 +93,7 @@ def test_a_carried_part_is_controlled_by_each_tick(cell, force_n: float) -> None
     cell.hold_part(RAMP)
     cell.least_n = 99.0
     cell.gripper.hold_at(force_n, 0.2)
+    cell.gripper.hold(0.1)
     assert cell.least_n > min(force_n, 8.0) - 1.0
     assert cell.gripper.phase is GripperPhase.HOLDING
     assert cell.register(0, "bus_watchdog") == 0
@@ -98,6 +105,16 @@ def test_a_carried_part_is_controlled_by_each_tick(cell, force_n: float) -> None
     ticks(cell, 1.0)
     assert cell.force_n == pytest.approx(force_n, abs=0.8)
     assert cell.gripper.release().opened == (1, 2)
+
+
+def test_a_stop_at_the_contact_leaves_no_force_to_control(started) -> None:
+    def stop(cycle: Cycle) -> None:
+        if cycle.phase is GripperPhase.RAMPING:
+            started.gripper.request_stop()
+
+    with pytest.raises(GraspStopped):
+        started.gripper.grasp(RAMP, stop)
+    assert started.gripper.phase is GripperPhase.HELD_AFTER_FAULT
 
 
 @pytest.mark.slow

@@ -30,9 +30,11 @@ _EMPTY_SAMPLES = 20
 """Number of samples for the noise of an empty pad. [tuned]"""
 _TOUCH_SAMPLES = 8
 """Most newest samples whose mean is compared with it; older ones are of the empty pad. [tuned]"""
-_REST_S, _HARD_S, _REST_SETTLING_S = 0.08, 0.065, 0.01
+_REST_S, _HARD_S = 0.08, 0.065
 """Rest of the fingers at the contact, so that the ramp begins at the force there. Its longest time
-in s, its least after a hard touch, and the time before its samples count. [tuned]"""
+in s, and its least after a hard touch. [tuned]"""
+_BRAKED_S = 0.01
+"""Time in s for which a braked finger stops, and before samples of the rest count. [chosen]"""
 
 
 class FirstTouch:
@@ -151,7 +153,7 @@ class ContactRest:
 
     def goes_on(self, moment: Moment) -> bool:
         """Add the newest sample and return whether the fingers still rest."""
-        sample, settled_s = moment.sample, self._begun_s + _REST_SETTLING_S
+        sample, settled_s = moment.sample, self._begun_s + _BRAKED_S
         if sample is not None and sample.valid:
             if self._samples and self._samples.oldest.measured_s < settled_s <= sample.measured_s:
                 self._samples.clear()
@@ -168,8 +170,6 @@ class ContactRest:
 
 _LEAD_M = 0.006
 """Lead of the goal before the fingers in m: their motion if no further goal is written. [chosen]"""
-_BRAKED_S = 0.01
-"""Time in s for which a braked finger stops. [chosen]"""
 _CREEP_N, _CREEP_N_S = 0.2, 20.0
 """First drive in N of a braked finger, less than the force of the pad, and its growth in N/s.
 [tuned]"""

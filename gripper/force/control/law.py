@@ -25,13 +25,14 @@ from statistics import fmean
 
 from gripper.dynamixel.drive import SIGMAS
 from gripper.errors import LimitExceeded
-from gripper.force.certainty import FAULT_SDS, PRESENT_SHARE, STEADY_S, SURE_SDS
+from gripper.force.certainty import FAULT_SDS, PRESENT_SHARE, STEADY_S, SURE_SDS, YOUNG_S
 from gripper.force.control.observer import GripObserver
 from gripper.force.estimates.grip import Grip, History
 from gripper.force.loop import Moment
 from gripper.mechanics.impact import CURRENT_S, ImpactLimit, current_share, impact_limit
 from gripper.mechanics.transmission import Drives, Transmission, driving_n, mean_yielding_n
 from gripper.servos.goal_limits import MOST_STICTION, pressing_speed_m_s
+from gripper.servos.motion import UNSURE_COUNTS
 from gripper.values.force_sensor import FRAME_S, LOOK_BACK_S, QUIET_N, ForceSample
 from gripper.values.state import ServoFeedback
 
@@ -54,12 +55,8 @@ _BRAKE_SHARE = 0.5
 """Share of the friction by which the drive brakes beside the friction itself. [chosen]"""
 _STRONGER, _WEAKER = 1.15, 0.98
 """Factors on the assumed stiction after a push without, and with, effect. [chosen]"""
-_MOTION_STEPS = 1.5
-"""Change of the opening in steps of its resolution that shows a motion. [resolution]"""
 _LEAST_OPENING_SHARE = 0.3
 """Least friction of opening fingers over that of closing ones. [chosen]"""
-_JUMP_S = 0.75 * FRAME_S
-"""Time in s after which a jump is an error. [chosen]"""
 _MOST_MISSING_N = 3.0
 """Largest missing drive in N, beside the friction and the uncertainty of the servos. [chosen]"""
 
@@ -349,7 +346,7 @@ class ForceLaw:
         It does once the positions show it, or where pushes alone are too slow for the plan.
         """
         way_m = abs(period.state.aperture_m - self._started_m)
-        if way_m > _MOTION_STEPS * self._grip.stiffness.step_m:
+        if way_m > UNSURE_COUNTS * self._grip.stiffness.step_m:
             return True
         growth_n = self._pushes.growth_n
         unseen_s = 2.0 * (period.moment.now_s - sample.measured_s) + _SPEED_S
@@ -386,7 +383,7 @@ class ForceLaw:
             return False
         if self._jumped_s is None:
             self._jumped_s = sample.t_s
-        if sample.t_s - self._jumped_s >= _JUMP_S:
+        if sample.t_s - self._jumped_s >= YOUNG_S:
             raise LimitExceeded(
                 f"the pads report {jump_n:.2f} N more than before on a part that is pressed as "
                 f"before, {least_n:.2f} N are allowed: their zero has jumped, or something pushes "

@@ -12,9 +12,6 @@ from gripper.servos.group import frozen
 from gripper.values.force_sensor import LEAST_SAMPLES, RecentForce
 from gripper.values.state import ServoFeedback
 
-_CONFIRMING_FRAMES = 3
-"""Frames after the stop of the fingers that confirm that nothing is held: in their mean no earlier
-touched taxel still counts as touched. [tuned]"""
 _CLOSED_ADVICE = (
     "The fingers are closed (gripper.aperture_min_mm): a part is too small to be held, or the pads "
     "press on each other because gripper.approach_speed_mm_s is high. The grip is kept: look, then "
@@ -103,7 +100,7 @@ class EmptyGrip:
         after = sample.t_s - 2.0 * sample.lag_s > self._since_s
         if after:
             self._samples.push(sample)
-        few = sample.frame_s is not None and len(self._frames) < _CONFIRMING_FRAMES
+        few = sample.frame_s is not None and len(self._frames) < LEAST_SAMPLES
         if few or (not after and max(sample.force_n) > self._loaded_n):
             return Action()
         means_n = self._samples.finger_means_n if self._samples else sample.force_n

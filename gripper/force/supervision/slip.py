@@ -8,7 +8,7 @@ from statistics import fmean
 from typing import NamedTuple
 
 from gripper.errors import PartSlipped
-from gripper.force.certainty import BRIEF_S, FAULT_SDS, PRESENT_SHARE, STEADY_S
+from gripper.force.certainty import BRIEF_S, FAULT_SDS, PRESENT_SHARE, STEADY_S, YOUNG_S
 from gripper.force.loop import Moment
 from gripper.force.supervision.part_watch import CREEP_M
 from gripper.settings import GripperSettings
@@ -16,8 +16,6 @@ from gripper.values.force_sensor import FRAME_S, ForceSample, RecentForce
 
 _USUAL_TIME_S = 0.6
 """Time constant in s of the usual force, from which a drop is measured. [tuned]"""
-_USUAL_LEAST_S = 0.75 * FRAME_S
-"""Time in s of samples that make a first usual force: one at 50 Hz."""
 _SLIDE_RECENT_S = 1.5 * FRAME_S
 """Duration in s of the present centre of the force: 2 samples at 50 Hz."""
 _SLIDE_BEFORE_S = 0.2
@@ -27,7 +25,7 @@ _SLIDE_FIRST_S = 3.5 * FRAME_S
 
 
 class SlipWatch:
-    """Slip detector of one hold at a steady set-point.
+    """Slip detector of a hold; it begins again at each steady set-point.
 
     Parameters
     ----------
@@ -37,30 +35,38 @@ class SlipWatch:
 
     def __init__(self, settings: GripperSettings) -> None:
         self._settings = settings
+        self._level: int | None = None
+        self._setpoint_n = 0.0
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin to watch another level."""
         self._recent = RecentForce()
         self._usual_n = self._usual_s = 0.0
         self._was_low = False
         self._aperture_m: float | None = None
         self._since_s: float | None = None
-        self._slide = SlideWatch(settings)
+        self._slide = SlideWatch(self._settings)
 
-    def check(
-        self, now_s: float, aperture_m: float, sample: ForceSample | None, *, setpoint_n: float
-    ) -> str | None:
-        """Add one period and return the sign of a slip as text, or None.
+    def check(self, moment: Moment, level: int | None, *, setpoint_n: float) -> None:
+        """Add one period at a level, or between levels; raises PartSlipped when the part slips.
 
-        Parameters
-        ----------
-        now_s
-            Monotonic time in s.
-        aperture_m
-            Opening in m.
-        sample
-            Newest sample, which may be the same as before.
-        setpoint_n
-            Force set-point in N: an excess over it, e.g. after a stall in the ramp, falls by the
-            force loop without a slip.
+        While a hot winding lowers the set-point, a force that falls is no slip.
         """
+        tolerance_n = self._settings.settle_tolerance_at_n(setpoint_n)
+        if level != self._level or abs(setpoint_n - self._setpoint_n) > 0.1 * tolerance_n:
+            self._level, self._setpoint_n = level, setpoint_n
+            self._begin()
+        sign = None if level is None else self._sign(moment, setpoint_n)
+        if sign is not None:
+            raise PartSlipped(
+                f"the held part slips: {sign}; the goals are frozen, nothing grips again by "
+                f"itself: clear the fault, then release it"
+            )
+
+    def _sign(self, moment: Moment, setpoint_n: float) -> str | None:
+        """Add one period at a level and return the sign of a slip as text, or None."""
+        now_s, aperture_m, sample = moment.now_s, moment.state.aperture_m, moment.sample
         if self._since_s is None:
             self._since_s = now_s
         slide = self._slide.check(now_s - self._since_s, sample)
@@ -84,7 +90,7 @@ class SlipWatch:
         if replaced is None:
             return None
         self._learn([*replaced, self._recent.oldest])
-        if self._usual_s < _USUAL_LEAST_S:
+        if self._usual_s < YOUNG_S:
             return None
         held_n = min(self._usual_n, setpoint_n + settings.settle_tolerance_at_n(setpoint_n))
         drop_n = held_n - self._recent.grip_n
@@ -175,39 +181,3 @@ class SlideWatch:
         sudden_m = now.beyond_m(_Centre.of(before), min(CREEP_M, slide_m)) if before else 0.0
         along_m = max(sudden_m, now.beyond_m(self._first, slide_m))
         return f"it has slid along the pads by {1e3 * along_m:.2f} mm" if along_m > 0.0 else None
-
-
-class LevelSlip:
-    """Slip detector of all levels at which the force is held: a `SlipWatch` for each.
-
-    Parameters
-    ----------
-    settings
-        Of the gripper.
-    """
-
-    def __init__(self, settings: GripperSettings) -> None:
-        self._settings = settings
-        self._level: int | None = None
-        self._setpoint_n = 0.0
-        self._watch = SlipWatch(settings)
-
-    def check(self, moment: Moment, level: int | None, *, setpoint_n: float) -> None:
-        """Add one period at a level, or between levels; raises PartSlipped when the part slips.
-
-        While a hot winding lowers the set-point, a force that falls is no slip.
-        """
-        tolerance_n = self._settings.settle_tolerance_at_n(setpoint_n)
-        if level != self._level or abs(setpoint_n - self._setpoint_n) > 0.1 * tolerance_n:
-            self._level, self._setpoint_n = level, setpoint_n
-            self._watch = SlipWatch(self._settings)
-        if level is None:
-            return
-        sign = self._watch.check(
-            moment.now_s, moment.state.aperture_m, moment.sample, setpoint_n=setpoint_n
-        )
-        if sign is not None:
-            raise PartSlipped(
-                f"the held part slips: {sign}; the goals are frozen, nothing grips again by "
-                f"itself: clear the fault, then release it"
-            )

@@ -218,7 +218,7 @@ def test_the_end_of_a_hold_leaves_no_push_in_force() -> None:
 def test_levels_are_watched_for_a_slip_unless_the_part_is_in_doubt(monkeypatch) -> None:
     levels: list[int | None] = []
     slip: Any = SimpleNamespace(check=lambda _moment, level, **_named: levels.append(level))
-    monkeypatch.setattr(grasp, "LevelSlip", lambda _settings: slip)
+    monkeypatch.setattr(grasp, "SlipWatch", lambda _settings: slip)
     for suspicious in (True, False):
         step = GripStep(SETTINGS, control(suspicious=suspicious), STAIRS, slip=slip)
         HoldStep(SETTINGS, control(suspicious=suspicious), 0.1).step(MOMENT)
