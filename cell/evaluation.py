@@ -191,7 +191,7 @@ def _parts(grasps: Sequence[Grasp], split: str, train: Sequence[Grasp] | None) -
         if not train_part or not test_part:
             raise CellError(
                 f"split {split!r} leaves {len(train_part)} grasps to train and {len(test_part)} "
-                "to test; both need at least one labelled grasp of each object"
+                "to test, without virtual ones; both need a labelled grasp of each object"
             )
         if not train_part[0].pads.same_as(test_part[0].pads):
             raise CellError(

@@ -71,13 +71,19 @@ class Part(BaseModel):
     @computed_field  # type: ignore[prop-decorator]
     @property
     def probability(self) -> float:
-        """Probability of the label; 0 before the answer."""
-        return self.probabilities.get(self.label, 0.0)
+        """Probability of the label; 0 before the answer.
 
+        That of ``UNKNOWN`` is of not being the likeliest object: it may look like several.
+        """
+        taught = [p for label, p in self.probabilities.items() if label != UNKNOWN]
+        likeliest = max(taught, default=0.0)
+        return 1.0 - likeliest if self.label == UNKNOWN else likeliest
+
+    @computed_field  # type: ignore[prop-decorator]
     @property
     def unknown(self) -> float:
-        """Probability that the object was never taught."""
-        return self.probabilities[UNKNOWN]
+        """Probability that the object was never taught; 0 before the answer."""
+        return self.probabilities.get(UNKNOWN, 0.0)
 
     @computed_field  # type: ignore[prop-decorator]
     @property

@@ -85,11 +85,9 @@ class Answered:
 
     @property
     def share(self) -> float:
-        """Probability of the answer; with those of all others it is 1."""
-        if self.label == UNKNOWN:
-            return self.fused.unknown
-        place = self.fused.labels.index(self.label)
-        return (1.0 - self.fused.unknown) * float(self.fused.probability[place])
+        """Probability of the answer; for `UNKNOWN` that of not being the likeliest object."""
+        likeliest = (1.0 - self.fused.unknown) * float(self.fused.probability.max())
+        return 1.0 - likeliest if self.label == UNKNOWN else likeliest
 
     @property
     def shape_text(self) -> str:

@@ -91,6 +91,7 @@ export function renderHeld({ state, info, taught, link }) {
   const size_mm = found?.size_mm || null;
   const feels = found?.shape && size_mm ? shapeWord(found.shape, size_mm) : "";
   setText(byId("held_sure"), !found?.label ? ""
+    : unknown && !(found.unknown >= 0.5) ? t("held.not_named")
     : unknown ? (feels ? t("held.feels", { shape: feels }) : t("held.no_shape"))
       : found.tentative ? t("held.so_far", { probability: percent(found.probability) })
         : t(sure ? "held.sure" : "held.unsure", { probability: percent(found.probability) }));
@@ -98,7 +99,6 @@ export function renderHeld({ state, info, taught, link }) {
   const second = found?.runner_up;
   setText(byId("held_second"), second ? t("held.second", {
     label: labelWord(second.label), probability: percent(second.probability),
-    behind: number(100 * (found.probability - second.probability), 0),
   }) : "");
 
   const object = found?.label ? taught.find((one) => one.label === found.label) : null;
