@@ -229,7 +229,8 @@ def test_each_part_reaches_plc_robot_and_program_once(serve) -> None:
         for number, label, label_id in ((1, "ball", 1), (2, UNKNOWN, 0)):
             probability = 0.9 - 0.01 * number
             named = {"label": label, "label_id": label_id, "place": "tray", "place_id": 2 + number}
-            known = {"probabilities": {label: probability}, "shape": ROUND}
+            probabilities = {label: probability, "nut": 1.0 - probability}
+            known = {"probabilities": probabilities, "shape": ROUND}
             served.plugin.find(Part(number=number, task="sort", **known, **named))
             while len(sent) < number:
                 message = json.loads(link.recv(LIMIT_S))

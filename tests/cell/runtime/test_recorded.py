@@ -60,7 +60,7 @@ def test_what_cannot_be_evaluated_says_why(taught: Any) -> None:
         evaluated(taught.grasps, split="halves")
     with pytest.raises(CellError, match="has no label"):
         evaluated([plain_grasp("")])
-    with pytest.raises(CellError, match=r"to train and .* to test; both need at least one"):
+    with pytest.raises(CellError, match=r"to train and .* to test, .*; both need a labelled"):
         evaluated(taught.grasps, train=())
     with pytest.raises(CellError, match="different pads"):
         evaluated(taught.grasps, train=[plain_grasp("ball")])
