@@ -327,10 +327,11 @@ class TaughtModel:
             if outcome.result is GraspResult.FORCE_REACHED and not outcome.ended_early:
                 recognizer = recognizer.follow(record.grasp)
         self._with_grid(grid := recognizer.grid)
-        if grid.likely == self._drift_remarked:
+        # It is gone when that is likelier than not: no remark alternates with the other.
+        if grid.unchanged < 0.5 if self._drift_remarked else not grid.likely:
             return ""
-        self._drift_remarked = grid.likely
-        if grid.likely:
+        self._drift_remarked = not self._drift_remarked
+        if self._drift_remarked:
             return f"the sensors have drifted since teaching: {drift_text(grid.drift)}"
         return "the sensors are again as at the teaching"
 

@@ -108,8 +108,9 @@ _REACH = (8 / 3, 3.0)
 """Range of the hypotheses on each side in standard deviations: of gain, of opening."""
 _POWER = 0.2
 """Power of the likelihood of an unnamed grasp."""
-_MEMORY = 0.99
-"""Share of the evidence of unnamed grasps kept after a further one, because drifts change."""
+_MEMORY = 0.95
+"""Share of the evidence of unnamed grasps kept after a further one, because drifts change, and
+because grasps of the same object in the same pose repeat the same error: all count like four."""
 _LASTS_MS = 12 * 3_600_000
 """Time in ms after the newest grasp for which gauges count without a new self-zero: a shift."""
 _PLACING_LOG_GAIN = 0.1
