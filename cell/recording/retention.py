@@ -140,11 +140,16 @@ class Retention:
                 f"{n_deleted} of the oldest recordings are deleted, because of recording.keep_gb "
                 "or a full disk; `tactile-cell recording mark FILE` keeps a recording"
             )
-        if free >= LEAST_FREE_BYTES:
+        if free < LEAST_FREE_BYTES:
+            return (
+                f"the disk of {self._folder} has less than {LEAST_FREE_BYTES / 1e6:.0f} MB free, "
+                "and no recording can be deleted; free some"
+            )
+        if total <= self._keep_bytes:
             return ""
         return (
-            f"the disk of {self._folder} has less than {LEAST_FREE_BYTES / 1e6:.0f} MB free, and "
-            "no recording can be deleted; free some"
+            f"the recordings that stay take {total / 1e9:.1f} GB, more than recording.keep_gb "
+            f"({self._keep_bytes / 1e9:g}): delete marked ones, or raise it"
         )
 
 

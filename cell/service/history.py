@@ -68,9 +68,11 @@ class Shift:
         self._cycles_s = deque[float](maxlen=_MOST_CYCLES)
 
     def _look(self, n_faults: int) -> None:
-        """Begin a new shift when its hour has come."""
-        if (now_s := began_s(self._now_s(), self._begins_h)) != self.began_s:
-            self._begin(now_s, n_faults)
+        """Begin a new shift when its hour has come; a clock set back by minutes ends none."""
+        now_s = self._now_s()
+        again = 0.0 < self.began_s - now_s < _HOUR_S
+        if not again and (since_s := began_s(now_s, self._begins_h)) != self.began_s:
+            self._begin(since_s, n_faults)
 
     def add(self, part: Part, curves: Mapping[str, Any] | None = None) -> None:
         """Count a part and keep the curves of its last grasp, or count a turn without a part."""

@@ -401,6 +401,7 @@ def test_a_new_shift_begins_with_no_figures_and_parts_keep_their_numbers() -> No
         for _ in range(n_parts):
             shift.add(clock.part())
         faults[0] += 1
+        clock.now_s = shift.began_s - 5.0  # set back
         values = shift.values()
         assert values["parts"] == values["counts"].get("ball", 0) == n_parts
         assert values["faults"] == 1
