@@ -97,7 +97,8 @@ class CellConfig(Section):
     format: Literal["tactile-cell-config/1"] = "tactile-cell-config/1"
     """Format of this file, and its version. Without this key it counts as the present one."""
     name: str = Field(default="simulated cell", min_length=1, max_length=80)
-    """Name of the cell, for reports and its files; `unnamed cell` with real ports."""
+    """Name of the cell, for reports and its files: cells that share a folder of recordings need
+    different ones. `unnamed cell` with real ports."""
     seed: int = Field(default=2008, ge=0, le=2**32 - 1)
     """Seed of all random values: poses, noise of the simulated cell."""
     host_timeout_s: float | None = Field(default=None, ge=0.05, le=3600.0)
