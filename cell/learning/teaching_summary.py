@@ -34,6 +34,11 @@ def teaching_notes(grasps: Sequence[Grasp]) -> tuple[str, ...]:
     return tuple(note for note in notes if note)
 
 
+def _first(texts: Sequence[str]) -> str:
+    """Return the first five texts, and the number of the others."""
+    return ", ".join(texts[:5]) + (f" and {len(texts) - 5} more" if len(texts) > 5 else "")
+
+
 def _amount_note(members: Mapping[str, Sequence[Grasp]]) -> str:
     few = {label: len(group) for label, group in members.items() if len(group) < _ENOUGH_GRASPS}
     drawn = [
@@ -43,12 +48,12 @@ def _amount_note(members: Mapping[str, Sequence[Grasp]]) -> str:
     ]
     needs = []
     if few:
-        counted = ", ".join(f"{label} {n}" for label, n in few.items())
+        counted = _first([f"{label} {n}" for label, n in few.items()])
         needs.append(f"{_ENOUGH_GRASPS} grasps of each object (now {counted}), better 20")
     if len(members) < _ENOUGH_OBJECTS:
         needs.append(f"{_ENOUGH_OBJECTS} objects (now {len(members)})")
     if drawn:
-        needs.append(f"real grasps of drawn objects ({', '.join(drawn)})")
+        needs.append(f"real grasps of drawn objects ({_first(drawn)})")
     if not needs:
         return ""
     return (
@@ -69,7 +74,7 @@ def _series_note(members: Mapping[str, Sequence[Grasp]]) -> str:
         )
     if once := len(members) - len(again):
         return (
-            f"taught in several series: {', '.join(again)}; in one: {once} of {len(members)}. "
+            f"taught in several series: {_first(again)}; in one: {once} of {len(members)}. "
             "Grasps of another day are most similar to those taught on another day, so the others "
             "may be named as one of these: teach all objects again, or omit the further series "
             "(`tactile-cell model evaluate --split series` measures it)"
@@ -98,7 +103,7 @@ def _opening_note(members: Mapping[str, Sequence[Grasp]]) -> str:
     if len(few) in (0, len(known)):
         return ""
     return (
-        f"{', '.join(few)}: fewer than {_OPENING_GRASPS} grasps with a known opening, so the model "
+        f"{_first(few)}: fewer than {_OPENING_GRASPS} grasps with a known opening, so the model "
         "uses touch alone: teach them again, or leave them out (`--object`)"
     )
 
