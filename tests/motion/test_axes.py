@@ -154,9 +154,7 @@ def test_a_wrist_whose_host_is_gone_stops_by_itself(bench) -> None:
 
 
 @pytest.mark.parametrize(("n_lost", "way_rad"), [(0, 0.06), (4, 0.4)])
-def test_a_wrist_stops_although_the_reason_lasts_or_answers_are_lost(
-    bench, n_lost, way_rad
-) -> None:
+def test_a_wrist_stops_though_the_reason_lasts_or_answers_are_lost(bench, n_lost, way_rad) -> None:
     """With a lost stop its own watchdog ends the motion."""
     bench.axes._watch._period_s = 1e-4  # due in each transaction
     began_s: list[float] = []

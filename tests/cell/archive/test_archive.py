@@ -269,9 +269,7 @@ def test_the_repair_of_a_damaged_file_loses_no_grasp(tmp_path) -> None:
         ({"cell": 50 * "ü"}, "makes a folder name of 305 bytes, at most 255 are possible"),
     ],
 )
-def test_a_file_that_does_not_fit_is_named_and_the_others_are_archived(
-    tmp_path, changes, why
-) -> None:
+def test_a_file_that_does_not_fit_is_named_and_others_are_archived(tmp_path, changes, why) -> None:
     for name, values in {"a": changes, "b": {"cell": 40 * "ü"}}.items():
         cell = values.get("cell", "press")
         grasps = [ramp("pen", np.random.default_rng(5), cell=cell)]

@@ -159,9 +159,7 @@ def test_a_fault_is_the_one_finding_that_does_not_pass_and_nothing_moves(
         (((1,), (0,)), FAIL, "(overload); servo 2 has its torque on", "release --confirm"),
     ],
 )
-def test_torque_that_is_left_on_is_named_with_the_way_on(
-    altered, left, verdict, text, advice
-) -> None:
+def test_torque_left_on_is_named_with_the_way_on(altered, left, verdict, text, advice) -> None:
     on, overloaded = left
 
     def alter(simulated: Any) -> None:
@@ -178,9 +176,7 @@ def test_torque_that_is_left_on_is_named_with_the_way_on(
 
 
 @pytest.mark.parametrize(("level", "whole"), [(0, False), (1, True)])
-def test_servos_that_withhold_their_answers_are_named_by_the_register(
-    altered, level, whole
-) -> None:
+def test_servos_that_withhold_answers_are_named_by_the_register(altered, level, whole) -> None:
     def alter(simulated: Any) -> None:
         for servo in simulated.devices.servo_bus.servos:
             servo.registers.put("status_return_level", level)
@@ -215,9 +211,7 @@ def altered(meddle: Any) -> Callable[[Callable[[Any], None]], list[Finding]]:
 
 
 @pytest.mark.slow
-def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
-    monkeypatch, tmp_path
-) -> None:
+def test_the_load_of_the_pads_is_shown_and_commands_name_the_config(monkeypatch, tmp_path) -> None:
     """With no answer of the servos too: then this is all that shows a held part."""
     simulated = simulation_of(small_config())
     with contextlib.closing(build_cell(small_config(), simulated=simulated)) as held:

@@ -123,9 +123,7 @@ def test_factory_new_servos_are_numbered_one_at_a_time(new, tmp_path) -> None:
         ("drive_mode", (0, 1), [0, 0], ("servo 2", "drive_mode (10)", "1", "0")),
     ],
 )
-def test_wrong_registers_are_shown_then_set_and_read_back(
-    stand, name, values, wanted, text
-) -> None:
+def test_wrong_registers_are_shown_set_and_read_back(stand, name, values, wanted, text) -> None:
     for servo, value in zip(stand.cell.devices.servo_bus.servos, values, strict=True):
         servo.registers.put(name, value)
     stand.passes(SERVOS)

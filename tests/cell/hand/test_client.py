@@ -637,9 +637,7 @@ def test_a_message_that_finds_nobody_is_given_up_at_once(line) -> None:
     line.server.serve()
 
 
-def test_between_commands_the_process_sends_what_the_supervision_measures(
-    line, monkeypatch
-) -> None:
+def test_between_commands_the_process_sends_what_supervision_measures(line, monkeypatch) -> None:
     now_s = 100.0
     monkeypatch.setattr(server, "time", SimpleNamespace(monotonic=lambda: now_s))
     sent: list[bytes] = []

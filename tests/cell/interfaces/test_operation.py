@@ -195,9 +195,7 @@ def test_what_the_service_user_cannot_read_is_named(tmp_path, monkeypatch) -> No
 # -- udev --------------------------------------------------------------------------------------
 
 
-def test_the_rules_name_each_serial_port_of_the_cell_and_keep_modem_manager_away(
-    monkeypatch,
-) -> None:
+def test_the_rules_name_each_serial_port_and_keep_modem_manager_away(monkeypatch) -> None:
     chip = {"ID_VENDOR_ID": "1a86", "ID_MODEL_ID": "7523"}
     monkeypatch.setattr(
         "cell.interfaces.cli.commands.service.usb_identity",
@@ -524,9 +522,7 @@ def run_serve(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., 
     return run
 
 
-def test_serve_ends_in_order_while_a_job_waits_and_clients_are_connected(
-    run_serve, tmp_path
-) -> None:
+def test_serve_ends_in_order_while_a_job_waits_and_clients_listen(run_serve, tmp_path) -> None:
     (tmp_path / "token").write_text(TOKEN)
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]

@@ -51,9 +51,7 @@ def test_figures_of_current_and_force() -> None:
 
 @settings(max_examples=50)
 @given(st.floats(0.0, 30.0), st.floats(0.3, 1.0))
-def test_a_force_falls_at_one_drive_and_is_gone_at_the_friction(
-    force_n: float, share: float
-) -> None:
+def test_a_force_falls_at_one_drive_and_is_0_at_the_friction(force_n: float, share: float) -> None:
     drive = replace(
         DriveCharacteristic.catalogue(XM430_W350),
         breakaway_a=0.1,

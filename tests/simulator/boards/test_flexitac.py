@@ -94,9 +94,7 @@ def test_a_press_shows_in_its_row_and_column_as_well(world, board) -> None:
     assert change[20, 9] == 0
 
 
-def test_the_law_is_compressive_and_a_falling_force_shows_more_than_a_rising_one(
-    world, board
-) -> None:
+def test_the_law_is_compressive_and_a_falling_force_shows_more_than_a_rising(world, board) -> None:
     counts = []
     for force_n in (1.0, 2.0, 4.0, 1.0, 0.0, 40.0):
         world.force_n[100] = force_n

@@ -18,9 +18,7 @@ STEP_S = 1e-3
     + [(model, 0.032, 0.004) for model in (XL330_M288, XC330_M288)],
 )
 @pytest.mark.parametrize("step_s", [1e-3, 5e-4])
-def test_the_register_is_the_mean_of_a_window_behind_a_low_pass(
-    model, window_s, low_pass_s, step_s
-):
+def test_the_register_is_the_mean_of_a_window_after_a_low_pass(model, window_s, low_pass_s, step_s):
     register, raws, counts_s = VelocityRegister(model, 100), [], 1600.0
     for i in range(1, round(0.3 / step_s) + 1):
         register.step(100 + math.floor(counts_s * i * step_s), step_s)

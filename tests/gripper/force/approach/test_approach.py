@@ -206,9 +206,7 @@ def test_the_rest_ends_where_the_force_of_a_light_touch_is_known(
 
 
 @pytest.mark.parametrize("near_m_s", [0.012, 0.015])
-def test_fingers_that_travel_start_hard_and_slow_down_to_their_speed(
-    make_started, near_m_s
-) -> None:
+def test_fingers_that_travel_start_hard_and_slow_to_their_speed(make_started, near_m_s) -> None:
     cell = make_started(rate_hz=200.0, noise_n=0.01, approach_speed_m_s=near_m_s, force_max_n=15.0)
     cell.gripper.grasp(ForceRamp.linear(2.0, rate_n_s=20.0))
     cell.gripper.release()

@@ -90,9 +90,7 @@ def test_a_correction_downwards_does_not_shoot_beyond_where_friction_is_less_tha
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_part_met_with_more_than_the_ramp_asks_for_is_pressed_no_harder(
-    make_started, seed
-) -> None:
+def test_a_part_met_with_more_than_the_ramp_asks_is_pressed_no_harder(make_started, seed) -> None:
     cell = make_started(
         rate_hz=200.0,
         kt_error=0.09,
