@@ -28,7 +28,8 @@ with suppress(ImportError):
     settings.load_profile("tests")
 
 _NAME = "pytest_tactile_cell"
-pytest_plugins = ["pytester", "tests.processor_time", *([] if _NAME in sys.modules else [_NAME])]
+if _NAME not in sys.modules:  # else a user's folder runs the contracts of this checkout
+    pytest_plugins = ["pytester", "tests.processor_time", _NAME]
 
 _LOAD_BEFORE = os.getloadavg()[0]
 """Load of the machine before these tests."""
@@ -61,7 +62,7 @@ def undo() -> Iterator[ExitStack]:
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Deselect what other days run."""
-    n_days = config.getoption("--days")
+    n_days = config.getoption("--days", None)
     if not n_days:
         return
     today = datetime.datetime.now(datetime.UTC).toordinal() % n_days

@@ -380,8 +380,10 @@ def write_json(path: Path, kind: Format, content: Any, *, error: type[CellError]
     """
     values = {"format": str(kind), **json.loads(json_bytes(content))}
     text = json.dumps(values | {_CHECKSUM: _digest(values)}, indent=2) + "\n"
-    with suppress(OSError):  # The write reports the error.
+    try:
         path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as cause:
+        raise error(f"cannot write {kind.what} to {path}: {_advice(cause, path.parent)}") from cause
     write_text(path, text, error=error, what=kind.what)
 
 

@@ -334,10 +334,12 @@ class Gripper:
             raise LimitExceeded(f"duration_s is {duration_s}, must be above 0")
         with self._life.command("hold", observer):
             self._make_ready()
-            state = self._runner.run(HoldStep(self.settings, control, duration_s).step)
-            if self._carried is not None:
-                self._servos.disarm_watchdog()
-        return state
+            try:
+                return self._runner.run(HoldStep(self.settings, control, duration_s).step)
+            finally:
+                if self._carried is not None:
+                    with suppress(GripperError):
+                        self._servos.disarm_watchdog()
 
     def hold_at(
         self, force_n: float, duration_s: float = 0.0, observer: Observer | None = None

@@ -22,7 +22,7 @@ from tactile.can.bus import CanBus, close_bus, open_bus
 _Section = TypeVar("_Section", bound=BaseModel)
 CONFIG_NAME = "tactile-cell.yaml"
 """File in the cell's folder that the finished wizard writes; commands there use it by default."""
-BASE_NAME = "base.yaml"
+BASE_NAME = "commissioning-base.yaml"
 """File in it with the first config, until there is that one."""
 _PATIENCE_S = 0.02
 """Allowance in s for adapter and operating system, enough for a latency timer of 16 ms, which is

@@ -171,22 +171,26 @@ class Engine:
         done = (self.notes[step.key] for step in self.steps if step.key in self.notes)
         return [line for notes in done for line in notes.corrected]
 
-    def redo(self, key: str) -> tuple[str, ...]:
-        """Forget a step and all that need it; return their keys.
+    def affected(self, *keys: str) -> tuple[str, ...]:
+        """Return the keys of some steps and of all that need them.
 
-        Raises CellError if the step does not exist.
+        Raises CellError if a step does not exist.
         """
-        keys = [step.key for step in self.steps]
-        if key not in keys:
-            raise CellError(f"there is no step {key!r}; the steps are {', '.join(keys)}")
-        affected = {key}
+        names = [step.key for step in self.steps]
+        for key in keys:
+            if key not in names:
+                raise CellError(f"there is no step {key!r}; the steps are {', '.join(names)}")
+        affected = set(keys)
         for step in self.steps:
             if affected.intersection(step.needs):
                 affected.add(step.key)
-        for name in affected:
+        return tuple(name for name in names if name in affected)
+
+    def redo(self, *keys: str) -> None:
+        """Forget some steps and all that need them; raises as `affected`."""
+        for name in self.affected(*keys):
             self.notes.pop(name, None)
         self._store()
-        return tuple(name for name in keys if name in affected)
 
     def run(self, dialog: Dialog) -> tuple[Path, ...]:
         """Run the steps that are not done, then write config, schema and record; return the files.

@@ -76,7 +76,9 @@ class Part(BaseModel):
         That of ``UNKNOWN`` is of not being the likeliest object: it may look like several.
         """
         taught = [p for label, p in self.probabilities.items() if label != UNKNOWN]
-        likeliest = max(taught, default=0.0)
+        if not taught:
+            return 0.0
+        likeliest = max(taught)
         return 1.0 - likeliest if self.label == UNKNOWN else likeliest
 
     @computed_field  # type: ignore[prop-decorator]

@@ -63,17 +63,11 @@ def duplicate_grasps(grasps: Sequence[Grasp]) -> list[Grasp]:
     return [grasp for key, grasp in pairs if seen.setdefault(key, grasp) is not grasp]
 
 
-def _check_folder(path: Path) -> None:
-    if not path.parent.is_dir():
-        raise CellError(f"{path}: the folder {path.parent} does not exist; make it first")
-
-
 def dataset_to_extend(path: Path, pads: PadArray) -> tuple[Grasp, ...]:
     """Return the present grasps of a data set, to which grasps of these pads will be added.
 
-    Raises CellError if it cannot be read, holds grasps on other pads, or its folder does not exist.
+    Raises CellError if it cannot be read, or holds grasps on other pads.
     """
-    _check_folder(path)
     before = read_dataset(path) if path.exists() else ()
     if before and not (there := before[0].pads).same_as(pads):
         raise CellError(
@@ -87,7 +81,8 @@ def dataset_to_extend(path: Path, pads: PadArray) -> tuple[Grasp, ...]:
 @contextmanager
 def _extending(path: Path, pads: PadArray) -> Iterator[tuple[Grasp, ...]]:
     """Give the present grasps of a data set; other commands cannot add to it meanwhile."""
-    _check_folder(path)
+    if not path.parent.is_dir():
+        raise CellError(f"{path}: the folder {path.parent} does not exist; make it first")
     with alone_in(path.parent):
         yield dataset_to_extend(path, pads)
 

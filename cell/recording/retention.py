@@ -148,8 +148,8 @@ class Retention:
         if total <= self._keep_bytes:
             return ""
         return (
-            f"the recordings that stay take {total / 1e9:.1f} GB, more than recording.keep_gb "
-            f"({self._keep_bytes / 1e9:g}): delete marked ones, or raise it"
+            f"recordings that are written or marked take {total / 1e9:.1f} GB, more than "
+            f"recording.keep_gb ({self._keep_bytes / 1e9:g}): delete marked ones, or raise it"
         )
 
 

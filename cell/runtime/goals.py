@@ -27,7 +27,17 @@ class _Goal(BaseModel):
         return checked_label(value) if isinstance(value, str) else tuple(map(checked_label, value))
 
 
-class TeachGoal(_Goal):
+class _PlannedGoal(_Goal):
+    seed: int | None = Field(default=None, ge=0, le=2**32 - 1)
+    """Seed of the plan of poses and forces, of a sort for the first part; each further part has the
+    next. None: the number of the job, so that no job repeats the poses of another."""
+
+    def plan_seed(self, job: int) -> int:
+        """Return the seed of its plan in the job with this number."""
+        return job if self.seed is None else self.seed
+
+
+class TeachGoal(_PlannedGoal):
     """Grasp a known object."""
 
     task: ClassVar[str] = "teach"
@@ -35,8 +45,6 @@ class TeachGoal(_Goal):
     """Name of the object."""
     grasps: int = Field(default=10, ge=1, le=1000)
     """How many times it is grasped, 1 to 1000."""
-    seed: int = Field(default=0, ge=0, le=2**32 - 1)
-    """Seed of the plan of poses and forces."""
     present: str | None = None
     """Object to place, if the positioner can (simulated cell). None: the object of this label, or
     the one between the fingers, which has this label from then on."""
@@ -45,7 +53,7 @@ class TeachGoal(_Goal):
     `TactileCellPlugin.train` after the last one. The progress has no sizes then."""
 
 
-class GaugeGoal(_Goal):
+class GaugeGoal(_PlannedGoal):
     """Grasp a taught object to measure the drift of the sensors since teaching."""
 
     task: ClassVar[str] = "gauge"
@@ -53,8 +61,6 @@ class GaugeGoal(_Goal):
     """Name of the object."""
     grasps: int = Field(default=3, ge=1, le=100)
     """How many times it is grasped, 1 to 100."""
-    seed: int = Field(default=0, ge=0, le=2**32 - 1)
-    """Seed of the plan of poses and forces."""
     present: str | None = None
     """As in `TeachGoal`."""
 
@@ -65,14 +71,12 @@ class ZeroGoal(_Goal):
     task: ClassVar[str] = "zero"
 
 
-class IdentifyGoal(_Goal):
+class IdentifyGoal(_PlannedGoal):
     """Grasp and classify an unknown object until its name is sure enough."""
 
     task: ClassVar[str] = "identify"
     max_grasps: int | None = Field(default=None, ge=1, le=100)
     """Most grasps, or None for the number in the config."""
-    seed: int = Field(default=1, ge=0, le=2**32 - 1)
-    """Seed of the plan of poses and forces."""
     present: str | None = None
     """Object to place first, if the positioner can (simulated cell)."""
     keep: Literal["never", "when_named", "always"] = "never"
@@ -101,7 +105,7 @@ class VerifyGoal(_Goal):
     task: ClassVar[str] = "verify"
 
 
-class SortGoal(_Goal):
+class SortGoal(_PlannedGoal):
     """Name parts one after the other and release each at its place."""
 
     task: ClassVar[str] = "sort"
@@ -110,8 +114,6 @@ class SortGoal(_Goal):
     feed: tuple[str, ...] = Field(default=(), strict=False, max_length=FEED_MAX)
     """Objects to place, one for each part, repeated from the first, if the positioner can
     (simulated cell). Empty: there each object of the config."""
-    seed: int = Field(default=1, ge=0, le=2**32 - 1)
-    """Seed of the poses and forces of the first part; each further one has the next."""
     max_grasps: int | None = Field(default=None, ge=1, le=100)
     """Most grasps of a part, or None for the number in the config."""
     force_n: float | None = Field(default=None, gt=0.0, le=50.0)

@@ -9,7 +9,7 @@ from typing import Any
 from cell.config.file import SCHEMA_LINE, changed_config, config_text
 from cell.config.model import CellConfig
 from cell.config.positioner import PositionerConfig
-from cell.errors import CellError, ConfigError
+from cell.errors import CellError, ConfigError, raised_as
 from cell.files import alone_in, write_text
 from cell.hand.real_time import raised_priority
 from cell.learning.parallel import one_blas_thread
@@ -60,7 +60,8 @@ def serve_simulated_cell(
     with ExitStack() as undo:
         temporary = undo.enter_context(tempfile.TemporaryDirectory(prefix="tactile-cell-"))
         place = Path(temporary) if folder is None else folder.resolve()
-        place.mkdir(parents=True, exist_ok=True)
+        with raised_as(CellError, OSError, where="name another folder with --out"):
+            place.mkdir(parents=True, exist_ok=True)
         # The links of its devices belong to one cell.
         running = f"another simulated cell is running in {place}: end it, or choose another folder "
         undo.enter_context(alone_in(place, CellError(f"{running}with --out")))

@@ -349,8 +349,8 @@ class Tasks:
             report(dict(values))
 
         report(dict(values))
-        sequence = self.model.config.sequence
-        collection.fill(self.controller, sequence, seed=goal.seed, on_grasp=progress)
+        sequence, seed = self.model.config.sequence, goal.plan_seed(report.number)
+        collection.fill(self.controller, sequence, seed=seed, on_grasp=progress)
         return values
 
     def zero(self, _goal: ZeroGoal, report: Report) -> SelfZero:
@@ -393,7 +393,7 @@ class Tasks:
             )
 
         try:
-            identification, remark = self.named(goal, progress)
+            identification, remark = self.named(goal, report.number, progress)
         except NoPartFound:
             self.parts.add(None)
             raise
@@ -405,7 +405,7 @@ class Tasks:
 
     @one_blas_thread()
     def named(
-        self, goal: IdentifyGoal, on_grasp: OnGrasp | None = None
+        self, goal: IdentifyGoal, job: int, on_grasp: OnGrasp | None = None
     ) -> tuple[Identification, str]:
         """Grasp an object until its name is sure enough, then follow the drift that it shows.
 
@@ -421,7 +421,7 @@ class Tasks:
             controller.journal.brought = name
         identification = controller.identify(
             recognizer,
-            plan(sequence, goal.max_grasps or sequence.max_grasps, seed=goal.seed),
+            plan(sequence, goal.max_grasps or sequence.max_grasps, seed=goal.plan_seed(job)),
             early=model.ends_early and not goal.whole_ramps,
             read_shape=model.read_shape,
             on_grasp=on_grasp,
@@ -483,13 +483,13 @@ class Tasks:
         for turn in range(goal.parts):
             one = IdentifyGoal(
                 max_grasps=goal.max_grasps,
-                seed=(goal.seed + turn) % 2**32,
+                seed=(goal.plan_seed(report.number) + turn) % 2**32,
                 present=feed[turn % len(feed)] if feed else None,
                 keep="always",
                 force_n=goal.force_n,
             )
             try:
-                identification, remark = self.named(one)
+                identification, remark = self.named(one, report.number)
             except NoPartFound:
                 answer.n_missed += 1
                 misses += 1

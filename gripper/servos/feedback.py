@@ -51,6 +51,10 @@ _GRIP_STAYS = (
     "The goals are frozen and the grip kept. Look at the part, check encoder, horn and linkage, "
     "then clear the fault and release"
 )
+_LETTING_GO = (
+    "The fingers stopped while letting go. Take the part out by hand, check encoder, horn and "
+    "linkage, then clear the fault with a reboot"
+)
 _ADVICE = (
     "the position of the finger is unknown. The torque is switched off, and a held part may have "
     "dropped. Check encoder, horn and linkage before clearing the fault"
@@ -240,10 +244,11 @@ class FeedbackCheck:
             most_rad = _UNSEEN_FREE_RAD if self.letting_go else _UNSEEN_RAD
             if (apart_rad := motor.unseen_rad) > most_rad:
                 motor.forget()
+                advice = _LETTING_GO if self.letting_go else _GRIP_STAYS
                 raise PositionContradicted(
                     f"servo {servo.servo_id}: the travels by its encoder and by voltage and "
                     f"current of its motor differ by {apart_rad:.3f} rad, at most {most_rad} "
-                    f"rad are possible: one of them is stuck or drifts. {_GRIP_STAYS}"
+                    f"rad are possible: one of them is stuck or drifts. {advice}"
                 )
 
     def _check_turn(self, servo: ServoState) -> None:

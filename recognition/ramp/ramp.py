@@ -269,16 +269,20 @@ def _without_spikes(counts: NDArray[np.float64], adc_max: int) -> NDArray[np.flo
     counts : (n_frames, n_taxels)
         Readings of one pad.
     """
-    # Before the first frame and after the last one the ramp goes on as beside them.
-    first, last = 2.0 * counts[1:2] - counts[2:3], 2.0 * counts[-2:-1] - counts[-3:-2]
-    padded = np.concatenate([first, counts, last])
-    before, here, after = padded[:-2], padded[1:-1], padded[2:]
-    limit = _SPIKE_SHARE * adc_max
-    above = here - np.maximum(before, after) > limit
-    below = np.minimum(before, after) - here > limit
-    if not (above.any() or below.any()):
+
+    def cleaned(frames: NDArray[np.float64]) -> NDArray[np.float64]:
+        before, here, after = frames[:-2], frames[1:-1], frames[2:]
+        limit = _SPIKE_SHARE * adc_max
+        above = here - np.maximum(before, after) > limit
+        below = np.minimum(before, after) - here > limit
+        return np.where(above | below, 0.5 * (before + after), here)
+
+    if len(counts) < 3:
         return counts
-    return np.where(above | below, 0.5 * (before + after), here)
+    inner = np.concatenate([counts[:1], cleaned(counts), counts[-1:]])
+    # Before the first frame and after the last one the ramp goes on as beside them.
+    first, last = 2.0 * inner[1:2] - inner[2:3], 2.0 * inner[-2:-1] - inner[-3:-2]
+    return cleaned(np.concatenate([first, inner, last]))
 
 
 def _stuck_taxels(

@@ -394,9 +394,7 @@ class FrameWitness:
         frames = [counts.astype(np.uint8).tobytes() for counts in grasp.counts]
         strange = sum(frame not in scanned for frame in frames)
         if strange:
-            raise InvariantBroken(
-                f"{strange} of {len(frames)} frames of a grasp were never scanned"
-            )
+            raise InvariantBroken(f"{strange} of {len(frames)} frames of grasps were never scanned")
         alike = longest = 1
         for before, frame in itertools.pairwise(frames):
             alike = alike + 1 if frame == before else 1

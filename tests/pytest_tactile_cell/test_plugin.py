@@ -62,6 +62,11 @@ def test_a_project_with_modules_of_our_names_runs_until_it_wants_a_cell(pytester
     contract.stderr.fnmatch_lines([f"*{where} hides the package '{hiding}' of tactile-cell*"])
 
 
+@pytest.mark.slow
+def test_a_folder_without_this_checkout_runs_its_contracts(pytester) -> None:
+    assert pytester.runpytest_subprocess("--contract", "servo_model").ret == 0
+
+
 def test_fixtures_and_options_say_what_they_are(pytester) -> None:
     fixtures = run(pytester, "--fixtures", "-v").stdout.str()
     ours = re.findall(r"\n(\w+) (?:\[.*\] )?-- .*pytest_tactile_cell.*\n((?: .*\n)*)", fixtures)

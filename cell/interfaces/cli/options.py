@@ -9,13 +9,20 @@ from cell.errors import ConfigError, raised_as
 from cell.plugins import RECOGNIZERS
 
 
+def in_a_folder(path: Path | None) -> Path | None:
+    """Refuse a file to write without a folder: at the end the work would be lost."""
+    if path is not None and not path.parent.is_dir():
+        raise typer.BadParameter(f"{path}: the folder {path.parent} does not exist; make it first")
+    return path
+
+
 def _ending(suffix: str, what: str) -> typer.models.OptionInfo:
     """Return the option ``--output`` of a file whose name must end with ``suffix``."""
 
     def checked(path: Path | None) -> Path | None:
         if path is not None and path.suffix != suffix:
             raise typer.BadParameter(f"{path}: the name of a {what} ends in {suffix}")
-        return path
+        return in_a_folder(path)
 
     option: typer.models.OptionInfo = typer.Option(
         "--output", "-o", help=f"{what.capitalize()} to write ({suffix}).", callback=checked

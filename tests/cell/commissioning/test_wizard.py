@@ -896,7 +896,8 @@ def test_redo_forgets_a_step_and_all_that_need_it_and_what_they_corrected(tmp_pa
     engine = Engine(steps(), Bench(tmp_path))
     engine.run(Script())
     assert engine.corrected == ["ports was wrong", "servos was wrong"]
-    assert engine.redo("servos") == ("servos", "force")
+    assert engine.affected("servos") == ("servos", "force")
+    engine.redo("servos")
     assert (list(engine.notes), engine.corrected) == (["ports", "unit"], ["ports was wrong"])
     # Who leaves now continues with it.
     Engine(steps(), Bench(tmp_path)).run(script := Script())
@@ -959,12 +960,13 @@ def test_the_command_goes_on_where_it_was_left_and_writes_config_and_record(
     left = CliRunner().invoke(app, command, input="\nq\n")
     assert (left.exit_code, (tmp_path / CONFIG_NAME).exists()) == (1, False)
     assert left.output.count(RESUME) == 1
-    done = CliRunner().invoke(app, command, input="\n\n\n")
+    done = CliRunner().invoke(app, command, input="\n\n\n\n")
     assert done.exit_code == 0, done.output
     assert f"{tmp_path}/{RECORD_NAME}" in done.stdout
     assert load_config(tmp_path / CONFIG_NAME).gripper.baud_rate == 2000000
     elsewhere = CliRunner().invoke(app, [*command[:3], "/dev/ttyUSB7"], input="q\n")
-    assert "steps to repeat: ports, servos" in elsewhere.output
+    assert "steps to repeat: ports, servos, unit, force" in elsewhere.output
+    assert len(Engine(steps(), Bench(tmp_path)).notes) == 4  # none is forgotten
     (other := tmp_path / "other.yaml").write_text("name: other\ngripper: {port: simulated}\n")
     refused = CliRunner().invoke(app, [*command, "--config", str(other)])
     assert refused.exit_code == 1

@@ -845,7 +845,7 @@ def test_only_recordings_in_folders_of_jobs_are_managed(keep) -> None:
     (keeper.folder / "run-20270101-000000").symlink_to(own[0].parent)
     keeper.retention.enforce()
     assert all(path.exists() for path in own)
-    assert "that stay take 0.0 GB, more than recording.keep_gb (1e-09)" in keeper.notes[1]
+    assert "marked take 0.0 GB, more than recording.keep_gb (1e-09)" in keeper.notes[1]
     for path in (keeper.folder, own[1]):
         with pytest.raises(RecordingError, match="is not a recording, or empty"):
             mark(path)

@@ -587,6 +587,7 @@ def test_the_force_of_the_grasps_is_the_hosts(make_plugin, taught) -> None:
     job = plugin.start(IdentifyGoal(present="box", force_n=3.5, seed=9))
     answer, progress = plugin.result(job, LIMIT_S), plugin.feedback(job).progress
     assert answer.probability == answer.probabilities[answer.label]
+    assert Part(label=UNKNOWN).probability == 0.0
     assert (answer.shape.kind, answer.shape.n_grasps) == ("flat", answer.n_grasps)
     reported = {"task": "identify", "grasps": answer.n_grasps, "best": answer.label}
     assert progress.items() >= (reported | {"of": 4, "force_n": 3.5}).items()

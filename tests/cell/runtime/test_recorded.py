@@ -28,6 +28,7 @@ from cell.runtime import tasks
 from cell.runtime.goals import GaugeGoal
 from cell.runtime.main_job import baseline
 from cell.runtime.tasks import Collection, drawn_object
+from cell.runtime.worker import Report
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift
 from recognition.grasp import DRAWING_SOURCE, ZERO_COLUMNS, SelfZero
@@ -105,13 +106,14 @@ def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(taught, tmp
     model = TaughtModel.load(taught.config, taught.result.model)
     path, told = tmp_path / "gauged.npz", list[Any]()
     goal = GaugeGoal(label="ball", grasps=len(balls))
+    report = Report(1, lambda **now: told.append(now["progress"]))
 
     def gauge(drift: Drift) -> Drift:
         outcome = SimpleNamespace(result=GraspResult.FORCE_REACHED, unreached="")
         records = [SimpleNamespace(grasp=drift.apply(g), outcome=outcome) for g in balls]
         controller = Mock(grasp=Mock(side_effect=records))
         file: Any = tasks.ModelFile(model, path)
-        return tasks.Tasks(controller, file).gauge(goal, told.append)
+        return tasks.Tasks(controller, file).gauge(goal, report)
 
     gauged = gauge(DRIFT)
     assert -3e-3 < gauged.aperture_offset_m < -0.5e-3

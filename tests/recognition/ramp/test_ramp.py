@@ -170,7 +170,9 @@ def test_what_follows_the_release_is_left_out(train):
 def test_a_spike_of_one_frame_is_no_load(rest, train):
     counts = train[0].counts.copy()
     counts[25, 3] = train[0].pads.adc_max
-    counts[30, 40] = counts[0, 5:60] = counts[-1, 20] = train[0].pads.adc_max
+    counts[30, 40] = counts[0, 5:60] = counts[-1, 20] = counts[1, 2] = counts[-2, 21] = train[
+        0
+    ].pads.adc_max
     spiky = find_ramp(dataclasses.replace(train[0], counts=counts), rest)
     clean = find_ramp(train[0], rest)
     assert spiky.start == clean.start

@@ -4,6 +4,7 @@ import select
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from os.path import realpath
 from pathlib import Path
 from typing import Annotated
 
@@ -250,10 +251,15 @@ def commission(
                 for line in lines:
                     print_line(line)
                 return
-            other = [key for key, value in given.items() if bench.settings.get(key, value) != value]
+            found = {key: bench.settings.get(key, value) for key, value in given.items()}
+            other = [key for key in given if realpath(found[key]) != realpath(given[key])]
             steps = ["ports" if key == "gripper.port" else "unit" for key in other]
-            for key in dict.fromkeys([*steps, *(redo or ())]):
-                print_line(f"steps to repeat: {', '.join(engine.redo(key))}")
+            if keys := [*steps, *(redo or ())]:
+                print_line(f"steps to repeat: {', '.join(engine.affected(*keys))}")
+                for key in other:
+                    text = f"{key} was {found[key]}, now {given[key]} is named."
+                    dialog.confirm(key, f"{text} Forget what these steps have found?", "forget it")
+                engine.redo(*keys)
             files = engine.run(dialog)
     except KeyboardInterrupt:
         print_note(f"left. {RESUME}")

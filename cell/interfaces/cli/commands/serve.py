@@ -84,7 +84,11 @@ TrainingSetOption = Annotated[
 ]
 SaveOption = Annotated[
     Path | None,
-    typer.Option("--save", help="Model file to write after each teaching, new or that of --model."),
+    typer.Option(
+        "--save",
+        help="Model file to write after each teaching, new or that of --model.",
+        callback=options.in_a_folder,
+    ),
 ]
 
 
