@@ -26,6 +26,7 @@ function stepsOf(fault, status) {
 export function renderFault(view) {
   const { state, why, send } = view;
   const fault = dealtWith(state);
+  if (fault && !document.body.classList.contains("faulted")) scrollTo(0, 0);
   document.body.classList.toggle("faulted", Boolean(fault));
   show(byId("fault"), Boolean(fault));
   if (!fault) return;

@@ -75,6 +75,8 @@ export class Link {
 
   connect() {
     this.drop();
+    // Also the whole address; a character that no token has would make the constructor throw.
+    this.token = this.token.split("token=").at(-1).replace(/[^\w.~-]/g, "-");
     const url = this.url("api/live?frames=newtons");
     url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
     this.begun_s = now_s();
