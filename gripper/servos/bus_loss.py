@@ -90,6 +90,7 @@ class BusLossMonitor:
                 f"({error})"
             ) from error
         if self._in_row >= _LEAST_LOST_PERIODS and lost_s > self._settings.bus_loss_s:
+            self._recent.clear()  # of a bus that was mended later they say nothing
             raise type(error)(
                 f"the servo bus was lost for {lost_s:.3f} s (bus_loss_s is "
                 f"{self._settings.bus_loss_s} s): a part may still be gripped; nothing more is "

@@ -534,9 +534,7 @@ def test_an_unknown_kind_lists_what_is_installed_and_the_next_step() -> None:
     wanted = r"no sensor 'glove' is installed; installed are control_unit, flexitac, uskin. Install"
     with pytest.raises(ConfigError, match=wanted + ".*`tactile-cell doctor --plugins`"):
         changed_config(CellConfig(), {"tactile.sensor": {"kind": "glove"}})
-    with pytest.raises(
-        ConfigError, match="no servo model 'XM' is installed; installed are RH-P12-RN"
-    ):
+    with pytest.raises(ConfigError, match="no servo model 'XM' is installed; installed are RH-P12"):
         changed_config(CellConfig(), {"gripper.servos": [{"id": 1, "model": "XM"}]})
     with pytest.raises(ConfigError, match="a section with kind, one of control_unit, flexitac"):
         changed_config(CellConfig(), {"tactile.sensor": {}})
@@ -720,9 +718,7 @@ def test_what_it_must_not_do_is_a_fault_of_each_call_until_the_next_start(
 
 def test_a_time_that_does_not_advance_is_a_fault(guard: GuardedSource) -> None:
     assert guard.poll().frames
-    with pytest.raises(
-        PluginFault, match=r"t_s of a frame is 15.0, must be a number from 15\.0+2 "
-    ):
+    with pytest.raises(PluginFault, match=r"t_s of a frame is 15.0, must be a number from 15\.0+2"):
         guard.poll()
 
 

@@ -134,9 +134,7 @@ def test_transactions_and_the_age_of_the_force_are_counted(cell) -> None:
     assert statistics.lateness.max_s < 1e-6
 
 
-@pytest.mark.parametrize(
-    ("stiffness_n_m", "at_s"), [(1000.0, 0.08), (2000.0, 0.05), (5000.0, 0.08)]
-)
+@pytest.mark.parametrize(("stiffness_n_m", "at_s"), [(1e3, 0.08), (2000.0, 0.05), (5000.0, 0.08)])
 def test_the_force_is_known_after_a_stall_on_a_ramp(make_started, stiffness_n_m, at_s) -> None:
     """A push that goes on for 50 ms moves the part by much more than in one period."""
     cell = make_started(stiffness_n_m=stiffness_n_m, noise_n=0.02, rate_hz=200.0)

@@ -7,8 +7,10 @@ import pytest
 
 from gripper.errors import BusTimeout, GripperStateError, ServoFault
 from gripper.force.ramp import ForceRamp
+from gripper.servos.bus_loss import BusLossMonitor
 from gripper.servos.goal_limits import ServoGoal
 from gripper.servos.group import frozen
+from gripper.settings import GripperSettings
 from gripper.values.state import GripperPhase
 from tests.values import make_servo, make_state
 
@@ -151,3 +153,13 @@ def test_a_push_does_not_stay_on_a_frozen_finger() -> None:
     (rest,) = goals(0.40, 0.2)
     for pushes in goals(0.40, 0.6) + goals(0.60, 0.1):
         assert frozen([pushes._replace(rest=rest)], state) == [rest]
+
+
+def test_periods_of_a_lost_bus_do_not_count_once_it_is_mended() -> None:
+    servos = Mock(settings=GripperSettings())
+    servos.silent_and_living.return_value = (), ()
+    monitor = BusLossMonitor(servos)
+    with pytest.raises(BusTimeout, match="the servo bus was lost for"):
+        [monitor.missed(BusTimeout("no answer"), 0.0, 0.005 * i) for i in range(1000)]
+    monitor.answered()
+    monitor.missed(BusTimeout("no answer"), 9.0, 9.0)

@@ -378,9 +378,7 @@ def test_lost_frames_are_a_fault_with_the_one_that_is_too_many(every: int) -> No
             else:
                 flow.on_frame(lost)
 
-    too_many = pytest.raises(
-        errors.FrameTimeout, match=r"3 of the last 50 frames .* allowed are 5%"
-    )
+    too_many = pytest.raises(errors.FrameTimeout, match=r"3 of the last 50 frames .* are 5%")
     with too_many if every < 25 else nullcontext():
         lose()
     assert every > 25 or lost == 3
@@ -618,9 +616,7 @@ def test_too_many_old_force_messages_are_a_fault(sending) -> None:
 
     sending.forces(0.1)
     sending.alter(0x285, later)
-    with pytest.raises(
-        errors.BusDisturbed, match="force messages that are older than the one before"
-    ):
+    with pytest.raises(errors.BusDisturbed, match="force messages that are older than"):
         sending.forces(1.0)
 
 
