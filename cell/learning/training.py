@@ -11,6 +11,7 @@ from recognition.drift.drift import DriftFollowing, DriftGrid
 from recognition.grasp import Grasp
 from recognition.recognizer import Posterior
 from recognition.shape.answer import ShapeAnswer
+from recognition.statistics.fusion import fuse
 
 
 def gaugeable(model: Trained, *labels: str) -> DriftFollowing:
@@ -34,10 +35,15 @@ def gaugeable(model: Trained, *labels: str) -> DriftFollowing:
 def gauged(recognizer: DriftFollowing, label: str, grasps: Sequence[Grasp]) -> DriftFollowing:
     """Return a recognizer gauged with new grasps of a taught object.
 
-    Raises CellError if the object was not taught, or no grasp touched both pads.
+    Raises CellError if the object was not taught, no grasp touched both pads, or the grasps are
+    most like another taught object also under the drift that they would show.
     """
     with raised_as(CellError, ValueError, where="cannot gauge"):
-        return recognizer.gauge(label, grasps)
+        after = recognizer.gauge(label, grasps)
+        likeliest = fuse([after.posterior(grasp) for grasp in grasps]).best
+    if likeliest != label:
+        raise CellError(f"cannot gauge with {label}: these grasps are more like {likeliest}")
+    return after
 
 
 @one_blas_thread()
