@@ -95,9 +95,17 @@ class Posterior:
 
     @property
     def name_probability(self) -> float:
-        """Probability of the name; for ``UNKNOWN`` that of not being the likeliest object."""
-        named = (1.0 - self.unknown) * float(self.probability.max())
-        return 1.0 - named if self.name == UNKNOWN else named
+        """Probability of the name, see `answer_probability`."""
+        return answer_probability(self.name, self.probabilities)
+
+
+def answer_probability(label: str, probabilities: Mapping[str, float]) -> float:
+    """Return the probability of an answer, from that of each label and of ``UNKNOWN``.
+
+    For ``UNKNOWN`` it is that of not being the likeliest object: a part may look like several.
+    """
+    likeliest = max([p for taught, p in probabilities.items() if taught != UNKNOWN], default=0.0)
+    return 1.0 - likeliest if label == UNKNOWN else likeliest
 
 
 class Recognizer(Protocol):

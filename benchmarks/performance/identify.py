@@ -80,7 +80,7 @@ def from_the_command(n_teach: int, rounds: int) -> None:
             for turn, held in enumerate(labels * rounds):
                 spent_s.clear()
                 how = {"seed": 1000 + turn, "keep": keep.value, "whole_ramps": whole}
-                answer, _ = tasks.named(IdentifyGoal(present=held, **how), 1)
+                answer, _ = tasks.named(IdentifyGoal(present=held, **how))
                 motion_s = dict(spent_s)
                 if answer.in_grip:
                     controller.release()
@@ -108,7 +108,7 @@ def from_the_command(n_teach: int, rounds: int) -> None:
             names = Counter[str]()
             for turn, held in enumerate([*NEVER_TAUGHT] * rounds):
                 how = {"seed": 2000 + turn, "keep": keep.value, "whole_ramps": whole}
-                names[tasks.named(IdentifyGoal(present=held, **how), 1)[0].label] += 1
+                names[tasks.named(IdentifyGoal(present=held, **how))[0].label] += 1
             line(f"  {what}, never taught", f"{names[UNKNOWN]} of {names.total()} {UNKNOWN}")
 
 

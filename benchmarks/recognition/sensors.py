@@ -74,7 +74,7 @@ def row(case: str, effort: float) -> str:
         tasks = Tasks(controller, ModelFile(model, None))
         for turn in range(repeats(_N_NAMED, effort) * len(labels)):
             label, start_s = labels[turn % len(labels)], clock.monotonic()
-            answer, _ = tasks.named(IdentifyGoal(present=label, seed=1000 + turn), 1)
+            answer, _ = tasks.named(IdentifyGoal(present=label, seed=1000 + turn))
             took_s.append(clock.monotonic() - start_s)
             names[{label: "right", UNKNOWN: UNKNOWN}.get(answer.label, "wrong")] += 1
         frames = controller.hand.statistics.source.frames

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ConfigDict, Field, computed_field, field_serializer
 
-from recognition.recognizer import UNKNOWN
+from recognition.recognizer import UNKNOWN, answer_probability
 
 if TYPE_CHECKING:
     from recognition.drift.drift import DriftGrid
@@ -71,15 +71,8 @@ class Part(BaseModel):
     @computed_field  # type: ignore[prop-decorator]
     @property
     def probability(self) -> float:
-        """Probability of the label; 0 before the answer.
-
-        That of ``UNKNOWN`` is of not being the likeliest object: it may look like several.
-        """
-        taught = [p for label, p in self.probabilities.items() if label != UNKNOWN]
-        if not taught:
-            return 0.0
-        likeliest = max(taught)
-        return 1.0 - likeliest if self.label == UNKNOWN else likeliest
+        """Probability of the label, see `recognition.answer_probability`; 0 before the answer."""
+        return answer_probability(self.label, self.probabilities) if self.probabilities else 0.0
 
     @computed_field  # type: ignore[prop-decorator]
     @property

@@ -29,7 +29,7 @@ from cell.report.page import Page, pad_svg, percent, picture, timeline_figure
 from cell.report.shapes import shapes_view
 from cell.simulation import true_sizes
 from recognition.grasp import Grasp, PadArray
-from recognition.recognizer import DEPENDENCE, UNKNOWN, Posterior
+from recognition.recognizer import DEPENDENCE, UNKNOWN, Posterior, answer_probability
 from recognition.shape.answer import ShapeAnswer, Thickness
 from recognition.statistics.fusion import fuse
 
@@ -85,9 +85,8 @@ class Answered:
 
     @property
     def share(self) -> float:
-        """Probability of the answer; for `UNKNOWN` that of not being the likeliest object."""
-        likeliest = (1.0 - self.fused.unknown) * float(self.fused.probability.max())
-        return 1.0 - likeliest if self.label == UNKNOWN else likeliest
+        """Probability of the answer, see `recognition.answer_probability`."""
+        return answer_probability(self.label, self.fused.probabilities)
 
     @property
     def shape_text(self) -> str:

@@ -393,7 +393,8 @@ class Tasks:
             )
 
         try:
-            identification, remark = self.named(goal, report.number, progress)
+            seeded = goal.model_copy(update={"seed": goal.plan_seed(report.number)})
+            identification, remark = self.named(seeded, progress)
         except NoPartFound:
             self.parts.add(None)
             raise
@@ -405,7 +406,7 @@ class Tasks:
 
     @one_blas_thread()
     def named(
-        self, goal: IdentifyGoal, job: int, on_grasp: OnGrasp | None = None
+        self, goal: IdentifyGoal, on_grasp: OnGrasp | None = None
     ) -> tuple[Identification, str]:
         """Grasp an object until its name is sure enough, then follow the drift that it shows.
 
@@ -421,7 +422,7 @@ class Tasks:
             controller.journal.brought = name
         identification = controller.identify(
             recognizer,
-            plan(sequence, goal.max_grasps or sequence.max_grasps, seed=goal.plan_seed(job)),
+            plan(sequence, goal.max_grasps or sequence.max_grasps, seed=goal.seed or 0),
             early=model.ends_early and not goal.whole_ramps,
             read_shape=model.read_shape,
             on_grasp=on_grasp,
@@ -489,7 +490,7 @@ class Tasks:
                 force_n=goal.force_n,
             )
             try:
-                identification, remark = self.named(one, report.number)
+                identification, remark = self.named(one)
             except NoPartFound:
                 answer.n_missed += 1
                 misses += 1

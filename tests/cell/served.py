@@ -186,7 +186,7 @@ class StubTasks(Tasks):
             else:
                 controller.life.complete()
 
-    def named(self, goal: IdentifyGoal, _job: int, _on_grasp: Any = None) -> tuple[Any, str]:
+    def named(self, goal: IdentifyGoal, _on_grasp: Any = None) -> tuple[Any, str]:
         label, keeps = self.finds or goal.present or "ball", goal.keep != "never"
         self.act(keeps=keeps)
         fused = SimpleNamespace(probabilities={UNKNOWN: 0.1, label: 0.9})

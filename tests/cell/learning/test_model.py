@@ -329,7 +329,7 @@ def test_training_and_answering_have_one_thread(make_bench, taught, monkeypatch)
     with threadpool_limits(HOST_THREADS, user_api="blas"):
         assert train([], "force_ramp").recognizer.labels == ("ball", "box")
         model.train()
-        Tasks(bench.controller, ModelFile(model, None)).named(IdentifyGoal(present="ball"), 1)
+        Tasks(bench.controller, ModelFile(model, None)).named(IdentifyGoal(present="ball"))
         assert noting.seen == [{1}] * 3
         assert threads() == {HOST_THREADS}
 
@@ -393,7 +393,7 @@ def identified(model: TaughtModel, *records: Any) -> str:
 def named(controller: Any, model: TaughtModel, **goal: Any) -> tuple[Identification, str]:
     """Identify once; return the answer and the remark."""
     cell = tasks.Tasks(controller, tasks.ModelFile(model, None))
-    return cell.named(IdentifyGoal(**goal), 1)
+    return cell.named(IdentifyGoal(**goal))
 
 
 def test_only_whole_ramps_that_held_something_teach() -> None:

@@ -39,6 +39,9 @@ export function taskWord(task) {
 // Name of a label for people; UNKNOWN is an answer too.
 export const labelWord = (label) => (label === "UNKNOWN" ? t("label.unknown") : label);
 
+// Whether a part has no name because it looks like several taught objects.
+export const notNamed = (answer) => answer.label === "UNKNOWN" && !(answer.unknown >= 0.5);
+
 // The running job and its progress.
 export function doing(state) {
   const { job, status } = state;

@@ -1,7 +1,7 @@
 // The held part: name, probability, shape and size to scale, and the second answer.
 
 import { byId, drawing, renew, setText, show } from "./dom.js";
-import { doing, labelWord, runs } from "./band.js";
+import { doing, labelWord, notNamed, runs } from "./band.js";
 import { clockShort, has, millimetres, number, percent, t } from "./words.js";
 
 const FINGER_MM = 4;
@@ -91,7 +91,7 @@ export function renderHeld({ state, info, taught, link }) {
   const size_mm = found?.size_mm || null;
   const feels = found?.shape && size_mm ? shapeWord(found.shape, size_mm) : "";
   setText(byId("held_sure"), !found?.label ? ""
-    : unknown && !(found.unknown >= 0.5) ? t("held.not_named")
+    : notNamed(found) ? t("held.not_named")
     : unknown ? (feels ? t("held.feels", { shape: feels }) : t("held.no_shape"))
       : found.tentative ? t("held.so_far", { probability: percent(found.probability) })
         : t(sure ? "held.sure" : "held.unsure", { probability: percent(found.probability) }));

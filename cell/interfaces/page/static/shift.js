@@ -1,7 +1,7 @@
 // The shift: the last twenty answers, each opens its grasp, and the totals of the shift.
 
 import { byId, make, renew, setText } from "./dom.js";
-import { labelWord, taskWord } from "./band.js";
+import { labelWord, notNamed, taskWord } from "./band.js";
 import { shapeWord } from "./held.js";
 import { drawChart, drawPads } from "./measured.js";
 import { clock, clockShort, language, newtons, number, percent, t } from "./words.js";
@@ -65,7 +65,7 @@ export function renderShift(view) {
       const name = labelWord(answer.label);
       const button = make("button", { type: "button", class: kind, title: name },
         make("i", { "aria-hidden": "true" }), make("b", {}, kind === "unknown" ? "?" : name), make("span", {}, clockShort(answer.time_s)));
-      button.setAttribute("aria-label", [name, percent(answer.probability), t(kind === "unknown" && !(answer.unknown >= 0.5) ? "held.not_named" : `kind.${kind}`),
+      button.setAttribute("aria-label", [name, percent(answer.probability), t(notNamed(answer) ? "held.not_named" : `kind.${kind}`),
         clock(answer.time_s), answer.place ?? ""].filter(Boolean).join(", "));
       button.addEventListener("click", () => open(answer));
       return make("li", {}, button);
