@@ -160,8 +160,17 @@ class BulkSlcanBus(slcanBus):
             raise
 
     def _write(self, string: str) -> None:
+        """Send a line; ``can.CanOperationError`` if the adapter takes nothing for 0.1 s.
+
+        pyserial's own method also counts the time in which this process does not run.
+        """
+        data = string.encode("ascii") + self.LINE_TERMINATOR
         with can.exceptions.error_check("the serial port of the CAN adapter cannot be written"):
-            self.serialPortOrig.write(string.encode("ascii") + self.LINE_TERMINATOR)
+            port = self.serialPortOrig.fileno()
+            while data:
+                if not select.select([], [port], [], _SEND_TIMEOUT_S)[1]:
+                    raise TimeoutError
+                data = data[os.write(port, data) :]
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         self._ask_for_flags()
@@ -215,10 +224,6 @@ class BulkSlcanBus(slcanBus):
             super().shutdown()
         finally:
             self.serialPortOrig.close()
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a message; ``can.CanOperationError`` if the adapter does not accept it in 0.1 s."""
-        super().send(msg, _SEND_TIMEOUT_S if timeout is None else timeout)
 
 
 def open_bus(

@@ -179,9 +179,7 @@ TRUE = {
 
 @pytest.mark.slow
 def test_each_claim_of_the_paper_has_the_verdict_of_the_page() -> None:
-    rows = {
-        f"{where}: {claim}": (values(), limit) for where, claim, values, limit in claims(EFFORT)
-    }
+    rows = {f"{where}: {claim}": (values(), most) for where, claim, values, most in claims(EFFORT)}
     assert {row for row, (residuals, limit) in rows.items() if residuals.max() <= limit} == TRUE
     assert rows["form (7): scale keeps the smallest_magnitude"][0] == pytest.approx(
         [15.0] * 5, abs=0.01

@@ -481,9 +481,7 @@ GROUPS = {
 """The rows by what fails."""
 
 ROWS: tuple[FaultRow, ...] = tuple(
-    sorted(
-        (row for rows in GROUPS.values() for row in rows), key=lambda row: (row.row, row.variant)
-    )
+    sorted((row for rows in GROUPS.values() for row in rows), key=lambda r: (r.row, r.variant))
 )
 """All rows, in the order of the page."""
 

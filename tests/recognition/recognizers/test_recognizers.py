@@ -174,9 +174,7 @@ def test_within_an_hour_on_the_cell_that_taught_nothing_has_drifted(train, fresh
     taught = make_trainer("force_ramp").fit(taken(train, "cell one"))
     taught = type(taught).from_arrays(taught.to_arrays())
     drift = Drift(aperture_offset_m=-3e-3)
-    (here,), (there,) = (
-        taken([drift.apply(fresh[0])], source) for source in ("cell one", "cell two")
-    )
+    (here,), (there,) = (taken([drift.apply(fresh[0])], cell) for cell in ("cell one", "cell two"))
     soon, elsewhere = taught.posterior(here), taught.posterior(there)
     later = taught.posterior(a_day_later(here))
     assert soon.unknown > later.unknown == elsewhere.unknown

@@ -217,6 +217,14 @@ def test_slcan_opens_with_bit_rate_and_without_waiting(adapter, monkeypatch) -> 
     assert adapter.read(b"C\r") == b"C\r"
 
 
+def test_an_adapter_takes_what_fits_although_the_process_stands_still(slcan, monkeypatch) -> None:
+    monkeypatch.setattr("serial.serialutil.Timeout.TIME", iter(range(10_000)).__next__)
+    numbers = iter(range(10_000))
+    with pytest.raises(can.CanOperationError, match="cannot be written"):
+        any(slcan.send(message(number)) for number in numbers)
+    assert next(numbers) > 100
+
+
 def test_an_unplugged_adapter_is_bus_off_and_can_be_closed(adapter, slcan) -> None:
     adapter.unplug()
     with pytest.raises(BusOff, match="plugged in"):
