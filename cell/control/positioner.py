@@ -124,6 +124,8 @@ class SimulatedPositioner:
     blocks = False
 
     def __init__(self, placer: ObjectPlacer) -> None:
+        self.elsewhere = isinstance(placer, SocketPlacer)
+        """Whether the simulated cell is in another process."""
         self._placer = placer
         self._label: str | None = None
 
@@ -244,8 +246,8 @@ class CallbackPositioner:
 
     @property
     def blocks(self) -> bool:
-        """True for a host; False for the simulated cell."""
-        return self.simulated is None
+        """False for a simulated cell of this process: its time passes only in its own thread."""
+        return self.simulated is None or self.simulated.elsewhere
 
     def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
         """Choose the object of the simulated cell; in a real cell the host brings it."""

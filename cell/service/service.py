@@ -43,8 +43,9 @@ _UNMOVING = (Command.CLEAR.value, Command.SHUTDOWN.value)
 """Commands without motion, allowed while a client keeps the cell stopped."""
 _KEEPING = (*_UNMOVING, Command.RESET.value, "verify", "forget", "forget_drift")
 """Tasks and commands that leave the part in the grip."""
-_POSE_GONE_S = 0.05
-"""Longest wait in s for the end of an abandoned pose before the next job."""
+_POSE_LOOK_S, _POSE_GONE_S = 0.02, 0.05
+"""Period in s of the check whether a pose is still needed, and longest wait in s for the end of an
+abandoned one before the next job."""
 _COMMANDS = (Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN)
 """Commands of clients."""
 
@@ -97,27 +98,29 @@ class PoseHandshake:
         self._reached: Pose | bool | None = None
         self._moving = False
         self._stopped = False
+        self.over: Callable[[], bool] = lambda: False
+        """Returns whether the job has ended: a fault does not wait for the host."""
 
     @property
     def awaited(self) -> tuple[int, Pose | None]:
         """Number and pose that the host shall reach; 0 and None without a pending pose."""
         with self._changed:
-            return (0, None) if self._pose is None else (self._seq, self._pose)
+            gone = self._pose is None or self._stopped or self.over()
+            return (0, None) if gone else (self._seq, self._pose)
 
     def move(self, pose: Pose) -> Pose | bool:
         """Show a pose and wait for the host: the mover of the cell.
 
-        Raises gripper.errors.GraspStopped if the job is stopped meanwhile.
+        Raises gripper.errors.GraspStopped if the job ends meanwhile.
         """
         with self._changed:
             self._seq = self._seq % 0xFFFF + 1
             self._pose, self._reached, self._moving = pose, None, True
             try:
-                self._changed.wait_for(lambda: self._reached is not None or self._stopped)
-                reached: Pose | bool | None = self._reached
-                if reached is None:
-                    raise GraspStopped("stopped on request while waiting for a pose")
-                return reached
+                while not (self._stopped or self.over()):
+                    if self._changed.wait_for(lambda: self._reached is not None, _POSE_LOOK_S):
+                        return self._reached or False
+                raise GraspStopped("stopped on request while waiting for a pose")
             finally:
                 self._pose, self._moving = None, False
                 self._changed.notify_all()
@@ -128,9 +131,11 @@ class PoseHandshake:
         Raises RequestRefused if another pose or no pose is pending.
         """
         with self._changed:
-            if self._pose is None or seq != self._seq:
-                expected = self._seq if self._pose is not None else "none"
-                raise RequestRefused(f"pose {seq} is not pending; the pending pose is {expected}")
+            expected, _ = self.awaited
+            if not expected or seq != expected:
+                raise RequestRefused(
+                    f"pose {seq} is not pending; the pending pose is {expected or 'none'}"
+                )
             self._reached = reached
             self._pose = None
             self._changed.notify_all()
@@ -144,7 +149,8 @@ class PoseHandshake:
     def settle(self) -> None:
         """Wait for the end of an abandoned pose, so that the next job can start."""
         with self._changed:
-            self._changed.wait_for(lambda: not self._moving or not self._stopped, _POSE_GONE_S)
+            needed = not (self._stopped or self.over())
+            self._changed.wait_for(lambda: needed or not self._moving, _POSE_GONE_S)
 
     @contextmanager
     def beginning(self) -> Iterator[None]:
@@ -200,6 +206,7 @@ class Service:
         self.plugin = plugin
         """The cell, for its values; its jobs are started by the service."""
         self._poses = PoseHandshake() if poses is None else poses
+        self._poses.over = lambda: plugin.job().terminal
         self._clock = clock
         self._lock = threading.RLock()
         self.lease = Lease(
@@ -312,7 +319,8 @@ class Service:
         The second value is whether the part is the next one.
         """
         part, in_turn = self.chosen_part, False
-        if not (self.config.simulated or self.config.positioner.kind == "simulated"):
+        positioner = self.config.positioner
+        if not (self.config.simulated or positioner.kind == "simulated" or positioner.socket):
             return goal, False
         if isinstance(goal, SortGoal) and not goal.feed and part is not None:
             return goal.model_copy(update={"feed": (part,)}), False

@@ -346,11 +346,8 @@ class ModbusInterface(ModbusServer):
             raise ModbusError(ILLEGAL_VALUE)
         try:
             if not mine:
-                if not lives:
-                    client.refuse(
-                        NotInCommand("change register 0, the life counter, to get the lease")
-                    )
-                    raise ModbusError(DEVICE_BUSY)
+                if not (lives or self._service.lease.number):
+                    raise NotInCommand("change register 0, the life counter, to get the lease")
                 self._lease = self._service.lease.acquire(client.name)
             elif lives:
                 self._service.lease.alive(self._lease)

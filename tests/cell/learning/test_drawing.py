@@ -87,12 +87,10 @@ def test_the_set_point_begins_with_the_touch_and_ends_at_the_planned_force(taugh
 
 def test_the_same_seed_gives_the_same_grasps() -> None:
     config, ball = CellConfig(), drawn_shape(BALL)
-    one, same, other = (teach_drawing(config, "b", ball, 2, seed=s) for s in (3, 3, 4))
+    one, same, new = (teach_drawing(config, "b", ball, 2, seed=s) for s in (3, 3, 4))
     assert np.array_equal(one[1].counts, same[1].counts)
     assert one[1].start_ms == 1000
-    assert one[1].n_frames != other[1].n_frames or not np.array_equal(
-        one[1].counts, other[1].counts
-    )
+    assert one[1].n_frames != new[1].n_frames or not np.array_equal(one[1].counts, new[1].counts)
 
 
 def test_drawings_alone_name_what_the_cell_grasps(taught, tmp_path) -> None:

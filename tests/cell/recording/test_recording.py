@@ -994,9 +994,7 @@ DAMAGE: list[tuple[str, Callable[[Any], Any], str]] = [
 """Array, what becomes of it (None: it is missing), and the complaint."""
 
 
-@pytest.mark.parametrize(
-    ("name", "change", "says"), DAMAGE, ids=[f"{n}: {t}" for n, _, t in DAMAGE]
-)
+@pytest.mark.parametrize(("name", "change", "says"), DAMAGE, ids=[f"{n}:{t}" for n, _, t in DAMAGE])
 def test_damage_is_refused_naming_file_and_array(name, change, says, good, tmp_path) -> None:
     arrays = arrays_of(good)
     arrays[name] = change(arrays.get(name))

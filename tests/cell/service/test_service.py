@@ -22,6 +22,7 @@ from cell.runtime import worker
 from cell.service import history
 from cell.service.history import MOST_ANSWERS, History, Shift, began_s, history_file, read_day
 from cell.service.service import RELEASE_KEY
+from gripper.errors import GraspStopped
 from gripper.values.state import GripperPhase
 from tactile.errors import FrameTimeout
 from tests.cell.cells import once, small_config
@@ -253,6 +254,8 @@ def test_a_hold_while_a_pose_is_waited_for_leaves_nothing_behind(serve: Any) -> 
     service.start(lease, IDENTIFY)
     service.pose_reached(lease, until(lambda: service.snapshot().pose_seq))
     assert served.ended().outcome == "SUCCEEDED"
+    with pytest.raises(GraspStopped):  # a job that a fault has ended waits for no pose
+        service._poses.move(Pose())
 
 
 # -- the end -----------------------------------------------------------------------------------
