@@ -104,7 +104,7 @@ class Gripper:
         self._grasping = GraspRun(runner, mechanics, life.set_phase, self._free)
         self._link_checked = self._watchdog_proven = False
         self._carried: Running | None = None
-        self._one: Gripper | None = None
+        self._finger: Gripper | None = None
 
     def __enter__(self) -> Self:
         """Verify the servos, see `start`; an error closes the port."""
@@ -503,7 +503,7 @@ class Gripper:
             self.bus.demand_answers(self._ids)
             left = self._not_able()
             if left:
-                return self._open_one(left[0], observer)
+                return self._open_finger(left[0], observer)
         with self._life.command("release", observer):
             try:
                 was_limp = self._make_ready(releasing=True)
@@ -533,8 +533,8 @@ class Gripper:
         The goals of a grip are frozen; moving fingers stop.
         """
         self._life.state.stop_request.set()
-        if (one := self._one) is not None:
-            one.request_stop()
+        if (finger := self._finger) is not None:
+            finger.request_stop()
 
     def keep_grip(self) -> None:
         """Freeze in any state: no new goals, torque unchanged, bus watchdog disarmed.
@@ -579,7 +579,7 @@ class Gripper:
         if not any(condition.answers for condition in conditions):
             # Reading again raises the fault of the bus.
             self._servos.torques()
-        restart = [one.servo_id for one in conditions if one.error_bits or one.strayed]
+        restart = [servo.servo_id for servo in conditions if servo.error_bits or servo.strayed]
         if restart and reboot:
             self._servos.reboot(restart)
             conditions = self.conditions()
@@ -712,28 +712,28 @@ class Gripper:
 
         return self._free.run(self._runner, move.step, is_free, needs_force=False)
 
-    def _open_one(self, left: ServoCondition, observer: Observer | None) -> ReleaseReport:
+    def _open_finger(self, left: ServoCondition, observer: Observer | None) -> ReleaseReport:
         """Open one finger alone; do not touch the servo of the other one."""
-        (servo,) = (one for one in self.settings.servos if one.servo_id != left.servo_id)
-        settings, linkage = replace(self.settings, servos=(servo,)), self._linkage.of_one_finger()
-        self._one = one = Gripper(
+        (movable,) = (servo for servo in self.settings.servos if servo.servo_id != left.servo_id)
+        settings, linkage = replace(self.settings, servos=(movable,)), self._linkage.of_one_finger()
+        self._finger = finger = Gripper(
             self.bus,
             Mechanics(settings, linkage, self.mechanics.drives),
             clock=self._clock,
             force_sensor=self._sensor,
         )
-        one._link_checked = self._link_checked
+        finger._link_checked = self._link_checked
         self._servos.forget()
         self._life.state.phase, self._life.running = GripperPhase.RELEASING, True
         try:
-            state = one.release(observer).state
+            state = finger.release(observer).state
             with suppress(GripperError):
-                one._servos.switch_off()
+                finger._servos.switch_off()
         finally:
-            self._one, self._life.running = None, False
-            self._life.take_over(one._life)
+            self._finger, self._life.running = None, False
+            self._life.take_over(finger._life)
         self._life.switched_off()
-        return ReleaseReport(state=state, opened=(servo.servo_id,), left=(left,))
+        return ReleaseReport(state=state, opened=(movable.servo_id,), left=(left,))
 
     def _not_able(self) -> list[ServoCondition]:
         """Return the servos that cannot be moved; raises if no servo can be moved."""
@@ -823,7 +823,7 @@ def open_gripper(
             clock=clock,
             period_s=settings.period_s,
             name=f"the servo line ({port})",
-            ram_shifts={one.servo_id: one.servo_model.ram_shift for one in settings.servos},
+            ram_shifts={servo.servo_id: servo.servo_model.ram_shift for servo in settings.servos},
         )
         mechanics = Mechanics(settings, linkage)
         return Gripper(bus, mechanics, clock=clock, force_sensor=force_sensor)

@@ -30,22 +30,22 @@ def check_number(
     name: str, value: float, *, low: float = -inf, above: float = -inf, high: float = inf
 ) -> float:
     """Return a value; raise LimitExceeded when it is not finite or outside its range."""
-    wanted = [
+    bounds = [
         (value >= low, f"at least {low:g}"),
         (value > above, f"above {above:g}"),
         (value <= high, f"at most {high:g}"),
     ]
-    if not isfinite(value) or not all(ok for ok, _ in wanted):
-        broken = " and ".join(text for ok, text in wanted if not ok) or "a number"
+    if not isfinite(value) or not all(ok for ok, _ in bounds):
+        broken = " and ".join(text for ok, text in bounds if not ok) or "a number"
         raise LimitExceeded(f"{name} is {value}, must be finite and {broken}")
     return value
 
 
 def check_settings(settings: Any) -> None:
     """Check every declared number of a settings object; raises LimitExceeded."""
-    for one in fields(settings):
-        if "low" in one.metadata and (value := getattr(settings, one.name)) is not None:
-            check_number(one.name, value, **one.metadata)
+    for key in fields(settings):
+        if "low" in key.metadata and (value := getattr(settings, key.name)) is not None:
+            check_number(key.name, value, **key.metadata)
 
 
 def largest_setpoint_n(force_max_n: float) -> float:

@@ -66,7 +66,7 @@ _SLOT_S = 0.003
 """Time in s that a servo may take for its answer to a broadcast ping, for each ID."""
 _CRC_REFUSED = 3
 """Error number of a servo that received a damaged request (e-Manual, "Error": CRC)."""
-_HEARD_BYTES = 16
+_HEAD_BYTES = 16
 """Received bytes that an error shows: a header and what follows it."""
 _PRINTABLE = frozenset(range(0x20, 0x7F)) | {0x0A, 0x0D}
 """Bytes of a text line: a device that sends text, as a GPS receiver, is known by its words."""
@@ -111,7 +111,7 @@ class _Request(NamedTuple):
     """Parameters of the instruction packet, unstuffed."""
 
 
-class _Heard:
+class _StrayData:
     """Invalid data since the last correct answer, for error messages."""
 
     def __init__(self) -> None:
@@ -135,7 +135,7 @@ class _Heard:
     def add(self, dropped: bytes) -> None:
         """Add bytes that are no packet."""
         self._bytes += len(dropped)
-        self._head = (self._head + dropped)[:_HEARD_BYTES]
+        self._head = (self._head + dropped)[:_HEAD_BYTES]
 
     def add_packet(self) -> None:
         """Count a packet that answers no request."""
@@ -223,7 +223,7 @@ class ServoBus:
         self._suspect_since_s = 0.0
         self._quiet_since_s: float | None = None
         self._outstanding = 0
-        self._heard = _Heard()
+        self._stray = _StrayData()
         self._last_error: BusTimeout | BusCorrupt | None = None
         self._ram_shifts = dict(ram_shifts or {})
         self._counts = dict.fromkeys(BusStatistics.__slots__, 0)
@@ -496,7 +496,7 @@ class ServoBus:
         """
         self._mark_suspect()
         if failure.damaged:
-            received = f" ({self._heard})" if self._heard else ""
+            received = f" ({self._stray})" if self._stray else ""
             error: BusTimeout | BusCorrupt = BusCorrupt(
                 f"{request.action}: the answers of servo {request.servo_id} arrive "
                 f"damaged{received}: check cable, termination and that no two servos share the ID"
@@ -540,7 +540,7 @@ class ServoBus:
         damaged = False
         while True:
             status = self._handler.receive(self.port)
-            self._heard.add(self._handler.dropped)
+            self._stray.add(self._handler.dropped)
             if status is None:
                 self._outstanding += 1
                 self.misses[servo_id] += 1
@@ -552,14 +552,14 @@ class ServoBus:
             if status.servo_id == servo_id and not earlier:
                 self._counts["corrupt"] += bool(self._handler.dropped)
                 self.misses[servo_id] = 0
-                self._heard.forget()
+                self._stray.forget()
                 (self.alerts.add if status.alert else self.alerts.discard)(servo_id)
                 return status
             if status.servo_id == servo_id:
                 damaged = True
                 self._outstanding = max(0, self._outstanding - 1)
             self._counts["late"] += 1
-            self._heard.add_packet()
+            self._stray.add_packet()
 
     def _wait_until_quiet(self) -> None:
         """Drop late answers until all came or the line was quiet for ``_LATE_GUARD_S``.
@@ -582,12 +582,12 @@ class ServoBus:
                 break
             self.port.start_timeout(min(left_s, max(0.0, deadline_s - now_s)))
             status = self._handler.receive(self.port)
-            self._heard.add(self._handler.dropped)
+            self._stray.add(self._handler.dropped)
             now_s = self._clock.monotonic()
             if status is not None:
                 self._outstanding -= 1
                 self._counts["late"] += 1
-                self._heard.add_packet()
+                self._stray.add_packet()
             if status is not None or self._handler.dropped:
                 self._quiet_since_s = now_s
             if self._outstanding > 0 and now_s >= deadline_s:
@@ -597,11 +597,11 @@ class ServoBus:
         self._mark_clean()
 
     def _not_quiet(self, patience_s: float) -> BusTimeout | BusCorrupt:
-        if not self._heard and self._last_error is not None:
+        if not self._stray and self._last_error is not None:
             return type(self._last_error)(*self._last_error.args)
         within = f"within {patience_s:.2g} s" if patience_s else "yet"
         return BusCorrupt(
-            f"{self._name} did not become quiet {within}: {self._heard}. Another program or device "
+            f"{self._name} did not become quiet {within}: {self._stray}. Another program or device "
             f"sends on the line, or it picks up noise: disconnect other hosts, check cable, "
             f"ground, termination and baud rate"
         )

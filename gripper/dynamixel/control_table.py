@@ -147,7 +147,7 @@ BACKUP_READY = _read_only("backup_ready", 147, 1)
 
 
 REGISTERS: Mapping[str, Register] = MappingProxyType(
-    {one.name: one for one in tuple(globals().values()) if isinstance(one, Register)}
+    {item.name: item for item in tuple(globals().values()) if isinstance(item, Register)}
 )
 """All items by name, in the order of their addresses."""
 

@@ -86,7 +86,7 @@ class DriveCharacteristic:
     @classmethod
     def from_stored(cls, values: Mapping[str, Any]) -> Self:
         """Rebuild from stored values; those of other versions are left out."""
-        return cls(**{one.name: values[one.name] for one in fields(cls) if one.name in values})
+        return cls(**{item.name: values[item.name] for item in fields(cls) if item.name in values})
 
     @property
     def measured(self) -> bool:

@@ -361,5 +361,5 @@ _OTHER_MODELS = {
 
 def model_name(number: int) -> str:
     """Return the name of a model number, or the number where no name is known."""
-    known = {model.number: model.name for model in MODELS.values()} | _OTHER_MODELS
-    return known.get(number, f"of model number {number}")
+    names = {model.number: model.name for model in MODELS.values()} | _OTHER_MODELS
+    return names.get(number, f"of model number {number}")

@@ -87,8 +87,8 @@ def fit_friction(points: Sequence[FreePoint], before: DriveCharacteristic) -> Dr
     sd = np.array([hypot(point.sd_a, _POINT_SD * point.current_a) for point in points])
     rows = np.column_stack([np.sign(speed), speed, np.ones(len(points))])
     whole = np.vstack([rows / sd[:, None], np.diag(1.0 / sds)])
-    wanted = np.concatenate([current / sd, prior / sds])
-    coulomb, viscous, offset = np.linalg.lstsq(whole, wanted, rcond=None)[0].tolist()
+    targets = np.concatenate([current / sd, prior / sds])
+    coulomb, viscous, offset = np.linalg.lstsq(whole, targets, rcond=None)[0].tolist()
     rest_a = max(coulomb, 0.1 * scale_a)
     rest_sd = float(np.linalg.inv(whole.T @ whole)[0, 0] ** 0.5) / rest_a
     return replace(

@@ -185,8 +185,8 @@ def check_approach(mechanics: Mechanics) -> float:
     """
     # Motions that measure the servos are slower, and come first.
     settings, of = mechanics.settings, mechanics.drives.of
-    known = Drives({servo.servo_id: of(servo).once_measured for servo in settings.servos})
-    limit = impact_limit(Mechanics(settings, mechanics.linkage, known))
+    drives = Drives({servo.servo_id: of(servo).once_measured for servo in settings.servos})
+    limit = impact_limit(Mechanics(settings, mechanics.linkage, drives))
     allowed_m_s = 2.0 * limit.pad_speed_m_s()
     if allowed_m_s < SLOWEST_M_S:
         least_n = (limit.drive_n + 0.5 * SLOWEST_M_S * limit.momentum_n_s_m) / (

@@ -177,7 +177,7 @@ class FeedbackCheck:
         self.strayed: dict[int, str] = {}
         """Servos whose position has leapt or left its range, with the reason. Where their fingers
         are is unknown until they are restarted."""
-        self.motors = {one.servo_id: MotorTravel(one.servo_model) for one in settings.servos}
+        self.motors = {servo.servo_id: MotorTravel(servo.servo_model) for servo in settings.servos}
         """Travel of each servo by its motor."""
         self.letting_go = False
         """Whether a part is let go. While the pads are loaded no contradiction may end it."""
@@ -338,9 +338,9 @@ class Feedback:
         self.turns: dict[int, int] = {}
         """Turns of each servo's count off that of its zero; empty before the first reading."""
         self._ticks = {servo_id: TickClock(servo_id) for servo_id in self._ids}
-        self._heats = {one.servo_id: WindingHeat(one.servo_model) for one in settings.servos}
-        self._supplies = {one.servo_id: Supply() for one in settings.servos}
-        self._motions = {one.servo_id: ServoMotion(one.servo_model) for one in settings.servos}
+        self._heats = {servo.servo_id: WindingHeat(servo.servo_model) for servo in settings.servos}
+        self._supplies = {servo.servo_id: Supply() for servo in settings.servos}
+        self._moves = {servo.servo_id: ServoMotion(servo.servo_model) for servo in settings.servos}
         self.check = FeedbackCheck(mechanics)
         """Comparison with possible motion."""
 
@@ -375,8 +375,8 @@ class Feedback:
             self.turns.clear()
         servos = tuple(
             [
-                self._servo_state(one, raws[one.servo_id], now_s, under_torque=under_torque)
-                for one in self._settings.servos
+                self._servo_state(servo, raws[servo.servo_id], now_s, under_torque=under_torque)
+                for servo in self._settings.servos
             ]
         )
         if under_torque:
@@ -389,7 +389,7 @@ class Feedback:
         self.turns.clear()
         for servo_id in self._ids:
             self._ticks[servo_id].forget()
-            self._motions[servo_id].forget()
+            self._moves[servo_id].forget()
         self.check.forget()
 
     def _servo_state(
@@ -400,7 +400,7 @@ class Feedback:
         turns = self.turns.setdefault(servo.servo_id, servo.turns(position_raw))
         angle_rad = servo.angle_rad(position_raw, turns)
         tick_ms = raw[REALTIME_TICK.name]
-        motion = self._motions[servo.servo_id]
+        motion = self._moves[servo.servo_id]
         speed_rad_s = motion.speed_rad_s(tick_ms, angle_rad)
         present_a = raw[PRESENT_CURRENT.name] * model.current_unit_a * servo.direction
         voltage_v = supply_v = raw[PRESENT_INPUT_VOLTAGE.name] * model.voltage_unit_v

@@ -289,7 +289,7 @@ class GoalWriter:
     def newest_forces_n(self) -> tuple[float, float]:
         """Mean of the newest samples in N on finger 0 and finger 1; 0 without one."""
         newest = list(islice(self._forces, _SURE_SAMPLES))
-        first_n, second_n = (sum(one.force_n[i] for one in newest) for i in (0, 1))
+        first_n, second_n = (sum(sample.force_n[i] for sample in newest) for i in (0, 1))
         return first_n / max(1, len(newest)), second_n / max(1, len(newest))
 
     def force_is_too_high(self) -> bool:
@@ -397,7 +397,7 @@ class GoalWriter:
 
 def _positions(state: ServoFeedback) -> str:
     """Return the reported positions of all servos: a goal of one follows from those of both."""
-    positions = (f"servo {one.servo_id} at {one.angle_rad:.4f} rad" for one in state.servos)
+    positions = (f"servo {servo.servo_id} at {servo.angle_rad:.4f} rad" for servo in state.servos)
     return f"by the positions that all report: {', '.join(positions)}; check encoders and horns"
 
 

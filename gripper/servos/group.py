@@ -137,7 +137,7 @@ class Servos:
     def heats(self) -> bool:
         """Whether a servo has more current than it bears for hours."""
         pairs = zip(self.goals.last, self._settings.servos, strict=False)
-        return any(goal.current_a > one.servo_model.holding_a for goal, one in pairs)
+        return any(goal.current_a > servo.servo_model.holding_a for goal, servo in pairs)
 
     def freeze(self, *, goes_on: bool = False) -> None:
         """Keep the last goals, without a push on the drive.
@@ -355,15 +355,15 @@ class Servos:
         if not silent:
             return
         answering, _ = self._bus.scan_at_once()
-        others = [one for one in answering if one.servo_id not in self._ids]
-        listed = ", ".join(f"{one.servo_id} ({model_name(one.model_number)})" for one in others)
+        others = [servo for servo in answering if servo.servo_id not in self._ids]
+        ids = ", ".join(f"{servo.servo_id} ({model_name(servo.model_number)})" for servo in others)
         rows = tuple(
             VerificationRow(
                 servo_id=servo_id,
                 item="ping",
                 expected=f"an answer at {self._bus.baudrate} baud",
                 actual=("no right answer" if servo_id in silent else "an answer")
-                + (f"; other IDs that answer: {listed}" if listed else ""),
+                + (f"; other IDs that answer: {ids}" if ids else ""),
                 ok=servo_id not in silent,
             )
             for servo_id in self._ids
@@ -655,8 +655,8 @@ def frozen(last: Sequence[ServoGoal], state: ServoFeedback) -> list[ServoGoal]:
 def for_hours(goals: Sequence[ServoGoal], settings: GripperSettings) -> list[ServoGoal]:
     """Return goals with at most the currents that the servos bear for hours."""
     return [
-        goal._replace(current_a=min(goal.current_a, one.servo_model.holding_a))
-        for goal, one in zip(goals, settings.servos, strict=True)
+        goal._replace(current_a=min(goal.current_a, servo.servo_model.holding_a))
+        for goal, servo in zip(goals, settings.servos, strict=True)
     ]
 
 
@@ -676,7 +676,7 @@ def lowered(
             goal._replace(current_a=min(share * goal.current_a, now.lasting.current_a))
             for goal, now in zip(first, last, strict=True)
         ]
-    models = (one.servo_model for one in settings.servos)
+    models = (servo.servo_model for servo in settings.servos)
     return [
         goal._replace(
             angle_rad=servo.angle_rad + closing_margin_rad(model, -share * goal.current_a),

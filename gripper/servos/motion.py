@@ -84,7 +84,7 @@ class ServoMotion:
         for shorter_ms in _WINDOWS_MS[1:]:
             if len(line) < _FEWEST or self._foretold(line):
                 break
-            line = [one for one in line[:-2] if now_ms - one[0] <= shorter_ms] + line[-2:]
+            line = [point for point in line[:-2] if now_ms - point[0] <= shorter_ms] + line[-2:]
         rate = 1e3 * _fit(line)[2]
         # The shortest line is prompt enough where it has its positions.
         prompt = len(positions) < _FEWEST or now_ms - positions[-_FEWEST][0] <= _WINDOWS_MS[-1]

@@ -111,4 +111,4 @@ def requirements(
         _of("position_p_gain", p_gain),
     ]
     unneeded = model.absent if model.goal_velocity_raw else model.absent | {"velocity_limit"}
-    return tuple(one for one in items if one.item not in unneeded)
+    return tuple(requirement for requirement in items if requirement.item not in unneeded)

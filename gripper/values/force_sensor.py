@@ -150,8 +150,8 @@ class RecentForce:
             return None
         samples.append(sample)
         variance_n2 = 0.0
-        for one in samples:
-            variance_n2 += one.noise_n**2
+        for summed in samples:
+            variance_n2 += summed.noise_n**2
         replaced: list[ForceSample] = []
         for left in range(len(samples) - 1, 0, -1):
             variance_n2 -= samples[0].noise_n ** 2

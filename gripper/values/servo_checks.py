@@ -16,7 +16,7 @@ class HardwareError(IntFlag):
 
 def hardware_error_names(bits: int) -> tuple[str, ...]:
     """Return the names of the bits of Hardware Error Status (register 70), lowest bit first."""
-    names = {int(one): name for name, one in HardwareError.__members__.items()}
+    names = {int(bit): name for name, bit in HardwareError.__members__.items()}
     texts = (names.get(1 << n, f"undefined bit {n}") for n in range(8) if bits >> n & 1)
     return tuple(name.lower().replace("_", " ") for name in texts)
 

@@ -97,7 +97,7 @@ class ServoFeedback:
     """Angle of each servo in rad."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "angles_rad", tuple([one.angle_rad for one in self.servos]))
+        object.__setattr__(self, "angles_rad", tuple([servo.angle_rad for servo in self.servos]))
 
 
 def shows_nothing(

@@ -310,8 +310,8 @@ class Approach:
         """Return whether all fingers close steadily and no pad has been touched so far."""
         return not self._was_touched and all(
             self._nominal_rad_s + servo.velocity_rad_s
-            <= max((1.0 - REACHED_SHARE) * self._nominal_rad_s, slow_rad_s(one.servo_model))
-            for servo, one in zip(state.servos, self.settings.servos, strict=True)
+            <= max((1.0 - REACHED_SHARE) * self._nominal_rad_s, slow_rad_s(settings.servo_model))
+            for servo, settings in zip(state.servos, self.settings.servos, strict=True)
         )
 
     def step(self, moment: Moment) -> Action:

@@ -62,7 +62,7 @@ class StandStill:
     """
 
     def __init__(self, settings: GripperSettings, state: ServoFeedback) -> None:
-        self._models = [one.servo_model for one in settings.servos]
+        self._models = [servo.servo_model for servo in settings.servos]
         self._start_rad = state.angles_rad
         self._periods = self._left = round(2.0 * BRIEF_S / settings.period_s)
         self._sums_a = [0.0] * len(self._models)

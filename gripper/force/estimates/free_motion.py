@@ -134,7 +134,7 @@ class FreeMotion:
             return
         points = self._points.setdefault(servo_id, [])
         prior = self._priors.setdefault(servo_id, drive)
-        earlier = [one for one in points if _alike(one, point)]
+        earlier = [old for old in points if _alike(old, point)]
         # The first motions give little information on other speeds.
         few = not prior.measured and 0 < len(points) < _FEW_POINTS and not earlier
         ratio = 1.0 if few else change(point, drive)
@@ -145,8 +145,8 @@ class FreeMotion:
             self._priors[servo_id] = prior = drive.distrusted
         # Temperature changes the friction of all speeds.
         follows = grown(point, drive) if earlier else 1.0
-        others = [one for one in points if not _alike(one, point)][1 - _MOST_POINTS :]
-        points[:] = [one._replace(current_a=follows * one.current_a) for one in others]
+        others = [old for old in points if not _alike(old, point)][1 - _MOST_POINTS :]
+        points[:] = [old._replace(current_a=follows * old.current_a) for old in others]
         points.append(point)
         self._priors[servo_id] = prior = prior.with_friction(follows)
         before = replace(drive, **{name: getattr(prior, name) for name in _FRICTION})
@@ -175,8 +175,8 @@ class FreeMotion:
         )
 
 
-def _alike(one: FreePoint, other: FreePoint) -> bool:
-    return 1.0 / _SAME_SPEED < one.speed_rad_s / other.speed_rad_s < _SAME_SPEED
+def _alike(point: FreePoint, other: FreePoint) -> bool:
+    return 1.0 / _SAME_SPEED < point.speed_rad_s / other.speed_rad_s < _SAME_SPEED
 
 
 class _Period(NamedTuple):
@@ -228,7 +228,7 @@ class _Run:
         if not self._periods:
             return []
         end_s = self._periods[-1].now_s - (_BEFORE_END_S if self._sign < 0.0 else 0.0)
-        return [one for one in self._periods if one.now_s <= end_s]
+        return [period for period in self._periods if period.now_s <= end_s]
 
     def lasts(self) -> bool:
         """Return whether the motion is long enough for a point."""
@@ -236,13 +236,13 @@ class _Run:
 
     def _part(self, periods: Sequence[_Period]) -> "_Part":
         """Return a part of the motion by a parabola through its positions (least squares)."""
-        t_s = np.array([one.now_s for one in periods])
+        t_s = np.array([period.now_s for period in periods])
         t_s -= t_s.mean()
         whole = np.linalg.pinv(np.column_stack([np.ones(len(t_s)), t_s, 0.5 * t_s**2]))
-        _, speed_rad_s, acceleration_rad_s2 = whole @ [one.angle_rad for one in periods]
+        _, speed_rad_s, acceleration_rad_s2 = whole @ [period.angle_rad for period in periods]
         return _Part(
             speed_rad_s=float(speed_rad_s),
-            current_a=fmean(one.current_a for one in periods),
+            current_a=fmean(period.current_a for period in periods),
             acceleration_rad_s2=float(acceleration_rad_s2),
             acceleration_sd_rad_s2=position_sd_rad(self._model) * float(np.linalg.norm(whole[2])),
         )
@@ -262,7 +262,7 @@ class _Run:
             part.current_a - inertia_a_s2 * part.acceleration_rad_s2 for part in (whole, *halves)
         )
         # Currents of neighbouring periods have a common error.
-        spread_a = pstdev([one.current_a for one in inner]) / sqrt(len(inner) / 4.0)
+        spread_a = pstdev([period.current_a for period in inner]) / sqrt(len(inner) / 4.0)
         unlike_a = _EVEN_SHARE * abs(whole_a) + SIGMAS * hypot(
             2.0 * spread_a, *(inertia_a_s2 * part.acceleration_sd_rad_s2 for part in halves)
         )

@@ -100,7 +100,7 @@ class StiffnessEstimate:
         if sample.t_s - self._block_s < ONE_FRAME_S:
             return
         n = len(self._block)
-        pair = (sum(one[0] for one in self._block) / n, sum(one[1] for one in self._block) / n)
+        pair = (sum(row[0] for row in self._block) / n, sum(row[1] for row in self._block) / n)
         # A sensor is read once in a period: the time of a sample is known to one of them.
         way_m = abs(pair[1] - self._block_m) * moment.dt_s / (sample.t_s - self._block_s)
         self._block_s, self._block_m = sample.t_s, pair[1]

@@ -338,7 +338,7 @@ class PartWatch:
         began_s, began_m, began_n = self._run_from
         travel_m = began_m - state.aperture_m
         if sample is not None and sample.valid:
-            late_n = [one.grip_n for one in recent if one.measured_s >= began_s]
+            late_n = [late.grip_n for late in recent if late.measured_s >= began_s]
             if late_n:
                 mean_n = sum(late_n) / len(late_n)
                 if mean_n > max(self.pads.empty_n, PRESENT_SHARE * began_n):

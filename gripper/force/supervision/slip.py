@@ -123,8 +123,8 @@ class _Centre(NamedTuple):
 
     @classmethod
     def of(cls, samples: Collection[ForceSample]) -> "_Centre":
-        x_m, y_m = zip(*(one.centre_m for one in samples if one.centre_m), strict=True)
-        variances_m2 = [one.centre_noise_m**2 for one in samples]
+        x_m, y_m = zip(*(sample.centre_m for sample in samples if sample.centre_m), strict=True)
+        variances_m2 = [sample.centre_noise_m**2 for sample in samples]
         return cls(fmean(x_m), fmean(y_m), fmean(variances_m2) / len(variances_m2))
 
     def beyond_m(self, other: "_Centre", allowed_m: float) -> float:
