@@ -193,11 +193,11 @@ class _Board(Board):
 
 def check_layout(layout: TaxelLayout, profile: Profile, *, rows_along: bool) -> None:
     """Raise LayoutError where a layout has other pads than two of the profile's size."""
-    wanted = profile if rows_along else profile[::-1]
-    if [(pad.rows, pad.columns) for pad in layout.pads] != [wanted, wanted]:
+    size = profile if rows_along else profile[::-1]
+    if [(pad.rows, pad.columns) for pad in layout.pads] != [size, size]:
         raise LayoutError(
             f"layout {layout.name} does not fit two boards of {profile.rows} x {profile.columns}: "
-            f"it needs two inner pads of {wanted[0]} rows along the finger and {wanted[1]} columns "
+            f"it needs two inner pads of {size[0]} rows along the finger and {size[1]} columns "
             "across it"
         )
 

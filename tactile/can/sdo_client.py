@@ -100,7 +100,7 @@ class PolledSdoClient(SdoClient):
 
     def defaults(self, record: str) -> dict[str, int]:
         """Return the values that the EDS has for the objects of a record, by their names."""
-        return {one.qualname: one.default for one in self[record].od.values()}
+        return {variable.qualname: variable.default for variable in self[record].od.values()}
 
     @property
     def surplus(self) -> int:

@@ -64,7 +64,7 @@ class Mounting:
         first, second = (by_pad.get(pad, PadMount(pad=pad, sent_as=pad)) for pad in gripping)
         self.exchanged = (first.sent_as, second.sent_as) == gripping[::-1]
         """Whether each gripping pad has the place of the other one."""
-        turns = {(one.rows_mirrored, one.columns_mirrored) for one in (first, second)}
+        turns = {(mount.rows_mirrored, mount.columns_mirrored) for mount in (first, second)}
         self.unit_can_sum = {first.sent_as, second.sent_as} == set(gripping) and len(turns) == 1
         """Whether the unit's force messages are valid. It sums its own two gripping pads and sends
         one centre for both."""
@@ -281,7 +281,7 @@ class TactileLink(LatchingSource):
             self._take_forces()
             stored = self.objects[od.FORCE_ZERO].raw
             later = self._take_forces()
-            old_s = [one.t_s for one in later if not one.status & ForceStatus.ZEROED]
+            old_s = [message.t_s for message in later if not message.status & ForceStatus.ZEROED]
             # The last scan before the zero was half a period earlier, on average. A busy host may
             # read one message late.
             late_s = max(old_s, default=written_s) - written_s + 0.5 * self.settings.force_period_s
@@ -349,8 +349,8 @@ class TactileLink(LatchingSource):
         """Service until a condition holds; NodeMissing with ``failure`` after the start-up time."""
         timeout_s = self.settings.startup_timeout_s
         if not self.objects.until(condition, timeout_s):
-            heard = ", ".join(str(node) for node in sorted(self._network.scanner.nodes))
-            nodes = f"node-IDs heard: {heard}" if heard else "no node is heard on this bus"
+            ids = ", ".join(str(node) for node in sorted(self._network.scanner.nodes))
+            nodes = f"node-IDs heard: {ids}" if ids else "no node is heard on this bus"
             raise errors.NodeMissing(
                 f"{self._name} {failure} within {timeout_s:g} s; {nodes}. Check the unit's "
                 "supply, node-ID, bit rate, CAN cable and termination"

@@ -77,12 +77,12 @@ class LinkSettings:
         return max(_FORCE_LATE_S, _LATE_FORCES * self.force_period_s)
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            value = getattr(self, one.name)
-            if "low" in one.metadata and not one.metadata["low"] <= value <= one.metadata["high"]:
+        for key in fields(self):
+            value = getattr(self, key.name)
+            if "low" in key.metadata and not key.metadata["low"] <= value <= key.metadata["high"]:
                 raise ValueError(
-                    f"{one.name} is {value}, must be {one.metadata['low']:g} to "
-                    f"{one.metadata['high']:g}"
+                    f"{key.name} is {value}, must be {key.metadata['low']:g} to "
+                    f"{key.metadata['high']:g}"
                 )
 
     @property

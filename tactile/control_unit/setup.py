@@ -101,10 +101,10 @@ def refuse_other_unit(
 
 def _checks(objects: PolledSdoClient, expected: Mapping[str, int]) -> list[Check]:
     """Read unsigned objects, and return them with their expected values."""
-    found = {
+    actual = {
         name: objects[name].raw & (_COB_ID_MASK if name in _COB_IDS else -1) for name in expected
     }
-    return [(objects.label(name), number, found[name]) for name, number in expected.items()]
+    return [(objects.label(name), number, actual[name]) for name, number in expected.items()]
 
 
 def _in_words(value: int | str | None) -> str:
@@ -114,9 +114,9 @@ def _in_words(value: int | str | None) -> str:
 def refuse_mismatch(checks: list[Check], problem: str, advice: str = _CHECK_CONFIG) -> None:
     """Raise IdentityMismatch with expected and found values if any check failed."""
     failed = [
-        f"{what}: expected {_in_words(expected)}, found {_in_words(found)}"
-        for what, expected, found in checks
-        if expected not in (None, found)
+        f"{what}: expected {_in_words(expected)}, found {_in_words(actual)}"
+        for what, expected, actual in checks
+        if expected not in (None, actual)
     ]
     if failed:
         raise IdentityMismatch(f"{problem}: {'; '.join(failed)}. {advice}")

@@ -50,7 +50,7 @@ class Neighbourhood:
         """
         return self.weighted(values) / self._total
 
-    def beside(self, mask: Mask) -> Mask:
+    def with_neighbours(self, mask: Mask) -> Mask:
         """Return the taxels of a mask (n_taxels,) and their neighbours."""
         return self.weighted(mask.astype(np.float64)) > 0.0
 
@@ -63,7 +63,7 @@ class Neighbourhood:
         """Return all allowed taxels with a connection to a seed through allowed ones."""
         region, grown = np.zeros_like(seed), seed & allowed
         while not np.array_equal(region, grown):
-            region, grown = grown, self.beside(grown) & allowed
+            region, grown = grown, self.with_neighbours(grown) & allowed
         return grown
 
 

@@ -179,8 +179,8 @@ class ForceCheck:
         while len(self.messages) > 1 and self.messages[1].t_s < began_s:
             self.messages.popleft()
         # The one before shows a change of the force where messages are rare.
-        near = [one for one in self.messages if one.t_s <= scanned_s + _AFTER_S]
-        messages = [one for one in near if one.t_s >= began_s]
+        near = [message for message in self.messages if message.t_s <= scanned_s + _AFTER_S]
+        messages = [message for message in near if message.t_s >= began_s]
         if not messages:
             return
         # With two values each, lists take a sixth of the time of arrays.
@@ -225,4 +225,4 @@ class ForceCheck:
 
 def _means_n(messages: Sequence[ForceMessage]) -> list[float]:
     """Return the mean force in N on finger 0 and finger 1."""
-    return [sum([one.force_n[n] for one in messages]) / len(messages) for n in (0, 1)]
+    return [sum([message.force_n[n] for message in messages]) / len(messages) for n in (0, 1)]

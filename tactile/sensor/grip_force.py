@@ -97,7 +97,7 @@ class GripForce(Generic[Sample]):
 
     def _from_messages(self, messages: Sequence[ForceMessage], reading: TactileReading) -> Sample:
         n, newest = len(messages), messages[-1]
-        objections = [text for one in messages if (text := _objection(one.status))]
+        objections = [text for message in messages if (text := _objection(message.status))]
         reason = reading.reason or next(iter(objections), "")
         at_least = (reading.ok or reading.at_least) and all(
             text == _SATURATED for text in objections

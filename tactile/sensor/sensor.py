@@ -360,7 +360,7 @@ class TactileSensor:
         noise_n, summed = self._taxel_noise_n(counts, all_n), active
         if self.has_forces:
             # In its messages the unit also adds the neighbours of touched taxels.
-            summed = self._hood.beside(active)
+            summed = self._hood.with_neighbours(active)
         full_scale = self._full_scale(full)
         reason = self._objection(frame, full_scale, bad, saturated | bad, tared)
         for array in (tared, active, force_n, saturated, bad):
@@ -410,7 +410,7 @@ class TactileSensor:
         above = self._hood.weighted(counts) / _BINOMIAL > self._touch_counts
         self._force_check.compare(
             reading.frame.scanned_s,
-            self.layout.on_fingers(np.where(self._hood.beside(above), scan_n, 0.0)),
+            self.layout.on_fingers(np.where(self._hood.with_neighbours(above), scan_n, 0.0)),
             sqrt(_EDGE * variance_n2),
             centre_taxels=self._centres.of(scan_n),
             centre_noise_taxels=reading.centre_noise_taxels,

@@ -48,9 +48,9 @@ def check_layout(layout: TaxelLayout, boards: Sequence[BoardIds]) -> None:
         if len(set(ids)) < len(ids):
             raise LayoutError("identifiers of the boards repeat: each taxel and start has its own")
     sizes = [pad.n_taxels for pad in layout.pads]
-    wanted = [len(boards[pad.finger].taxels) for pad in layout.pads]
-    if len(layout.pads) != len(boards) or sizes != wanted:
+    counts = [len(boards[pad.finger].taxels) for pad in layout.pads]
+    if len(layout.pads) != len(boards) or sizes != counts:
         raise LayoutError(
-            f"layout {layout.name} has pads of {sizes} taxels, the boards have {wanted}: one inner "
+            f"layout {layout.name} has pads of {sizes} taxels, the boards have {counts}: one inner "
             "pad for each board, with as many taxels as it has identifiers"
         )
