@@ -72,7 +72,7 @@ class SelfZero(Numbers):
 
 
 COMMAND_COLUMNS, ZERO_COLUMNS = (
-    tuple(one.name for one in fields(kind)) for kind in (GraspCommand, SelfZero)
+    tuple(column.name for column in fields(kind)) for kind in (GraspCommand, SelfZero)
 )
 """Names of the numbers of a `GraspCommand` and of a `SelfZero`, in their order."""
 

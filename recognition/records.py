@@ -21,11 +21,11 @@ class Numbers:
     """
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            value = getattr(self, one.name)
-            if not isfinite(value) or (one.name.endswith("_sd") and value <= 0.0):
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not isfinite(value) or (field.name.endswith("_sd") and value <= 0.0):
                 raise ValueError(
-                    f"{one.name} of a {type(self).__name__} is {value}, must be finite, an sd "
+                    f"{field.name} of a {type(self).__name__} is {value}, must be finite, an sd "
                     "above 0"
                 )
 
@@ -37,7 +37,7 @@ class Numbers:
     @classmethod
     def from_values(cls, values: Sequence[float]) -> Self:
         """Rebuild from `values`. Raises ValueError if they do not fit."""
-        names = (one.name for one in fields(cls))
+        names = (field.name for field in fields(cls))
         return cls(**dict(zip(names, map(float, values), strict=True)))
 
 
@@ -48,8 +48,8 @@ class ArrayRecord:
     def to_arrays(self, prefix: str = "") -> dict[str, NDArray[Any]]:
         """Return the fields under names that begin with the prefix; None is left out."""
         arrays: dict[str, NDArray[Any]] = {}
-        for one in fields(self):
-            name, value = prefix + one.name, getattr(self, one.name)
+        for field in fields(self):
+            name, value = prefix + field.name, getattr(self, field.name)
             if isinstance(value, ArrayRecord):
                 arrays |= value.to_arrays(f"{name}_")
             elif value is not None:
@@ -63,7 +63,7 @@ class ArrayRecord:
         Raises KeyError for a missing array, ValueError or TypeError for one that does not fit.
         """
         kinds = get_type_hints(cls)
-        names = [one.name for one in fields(cls)]
+        names = [field.name for field in fields(cls)]
         return cls(**{name: _rebuilt(kinds[name], arrays, prefix + name) for name in names})
 
 
@@ -94,9 +94,9 @@ class TaughtRecord(ArrayRecord):
 def _rebuilt(kind: Any, arrays: Arrays, name: str) -> Any:
     """Return the value of a field of some kind from its array, or the arrays of its record."""
     if NoneType in get_args(kind):
-        if not any(one == name or one.startswith(f"{name}_") for one in arrays):
+        if not any(key == name or key.startswith(f"{name}_") for key in arrays):
             return None
-        (kind,) = (one for one in get_args(kind) if one is not NoneType)
+        (kind,) = (member for member in get_args(kind) if member is not NoneType)
     origin = get_origin(kind) or kind
     if issubclass(origin, ArrayRecord):
         return origin.from_arrays(arrays, f"{name}_")

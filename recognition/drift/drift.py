@@ -231,8 +231,8 @@ class DriftGrid(ArrayRecord):
         """Return the grid that keeps the evidence of unnamed grasps like a gauge."""
         if not self.n_followed:
             return self
-        known = replace(self, gauged=self.gauged + self.followed, n_gauged=self.n_gauged + 1)
-        return known.without_unnamed()
+        grid = replace(self, gauged=self.gauged + self.followed, n_gauged=self.n_gauged + 1)
+        return grid.without_unnamed()
 
     @property
     def weight(self) -> NDArray[np.float64]:

@@ -147,8 +147,8 @@ def measure_zero(
         int(taxel)
         for t, evened_pad in zip(taxels, evened, strict=True)
         if len(t) == len(planes)
-        for taxel, one, expected in zip(t, evened_pad[top].mean(axis=0), planes, strict=True)
-        if one < _DEAD_SHARE * expected and expected > _DEAD_SIGMAS * noise
+        for taxel, counts, expected in zip(t, evened_pad[top].mean(axis=0), planes, strict=True)
+        if counts < _DEAD_SHARE * expected and expected > _DEAD_SIGMAS * noise
     ]
     per_mm = np.exp(log_counts_mm)
     return ZeroMeasurement(
@@ -201,7 +201,7 @@ def shows_part(grasp: Grasp, gripping: tuple[int, int]) -> bool:
     except ValueError:
         return False
     alike = _alike(grasp.pads, gripping)
-    newest = _of_both([one[-_NEWEST:] for one in rise], alike=alike)
+    newest = _of_both([counts[-_NEWEST:] for counts in rise], alike=alike)
     spread = newest.mean(axis=0, keepdims=True)
     if spread.mean() <= 0.0:
         return False
@@ -325,12 +325,12 @@ def _gradient(
     load = np.maximum(footprint.mean(axis=1), 0.0)
     top = footprint[load >= _TOP_SHARE * load.max()].mean(axis=0)
 
-    def plane(gradient: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray[np.float64]:
+    def plane(gradient: NDArray[np.float64], loads: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return c for the given mean of the plane's pressures."""
         lean = xy_mm @ gradient
-        middle = np.linspace(-np.abs(lean).max(), np.abs(lean).max() + wanted.max(), _MIDDLES)
+        middle = np.linspace(-np.abs(lean).max(), np.abs(lean).max() + loads.max(), _MIDDLES)
         mean = np.maximum(middle[:, None] + lean, 0.0).mean(axis=1)
-        return np.interp(wanted, mean, middle)
+        return np.interp(loads, mean, middle)
 
     def misfit(gradient: NDArray[np.float64]) -> NDArray[np.float64]:
         middle = plane(gradient, top.mean(keepdims=True))
@@ -364,11 +364,11 @@ def _meeting(
     log_weight = np.zeros((_STIFFNESSES, _ZEROS))
     for finger in np.unique(alone):
         off_mm = zeros_mm[:, None, alone == finger] - zero_mm[:, None]
-        one_mm = 0.25 * step_mm
-        errors_mm = [0.0] if finger < 0 else np.linspace(-one_mm, one_mm, _ERRORS)
-        box_mm = 0.5 * step_mm if finger < 0 else one_mm
+        finger_mm = 0.25 * step_mm
+        errors_mm = [0.0] if finger < 0 else np.linspace(-finger_mm, finger_mm, _ERRORS)
+        box_mm = 0.5 * step_mm if finger < 0 else finger_mm
         beyond = (np.maximum(np.abs(off_mm - error_mm) - box_mm, 0.0) for error_mm in errors_mm)
-        misfits = np.stack([(one**2).sum(axis=2) for one in beyond]) / _LATE_MM**2
+        misfits = np.stack([(excess**2).sum(axis=2) for excess in beyond]) / _LATE_MM**2
         log_weight += logsumexp(-0.5 / _ALIKE * misfits, axis=0)
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()

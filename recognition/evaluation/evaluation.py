@@ -73,7 +73,7 @@ def auroc(
     low = np.asarray(negative, dtype=np.float64)
     high = np.asarray(positive, dtype=np.float64)
     plain = np.ones(len(low)), np.ones(len(high))
-    of_low, of_high = (np.asarray(one, dtype=np.float64) for one in weights or plain)
+    of_low, of_high = (np.asarray(weight, dtype=np.float64) for weight in weights or plain)
     order = np.argsort(low)
     below = np.cumsum(of_low[..., order], axis=-1)
     below = np.concatenate([np.zeros((*below.shape[:-1], 1)), below], axis=-1)
@@ -255,7 +255,7 @@ def evaluate(
         recognizer = trainer.fit(train)
         labels.update(recognizer.labels)
         ordered = [series_of(members) for members in by_label(test).values()]
-        series = [one for every in ordered for one in every if one[0].label in recognizer.labels]
+        series = [run for every in ordered for run in every if run[0].label in recognizer.labels]
         here = [g for members in series for g in members]
         untaught = [g for g in test if g.label not in recognizer.labels]
         answered = _answers(recognizer, here, mapper)
@@ -334,7 +334,7 @@ def evaluate_shift(recognizer: object, grasps: Sequence[Grasp], seed: int) -> Sh
 def _answers(recognizer: Recognizer, grasps: Sequence[Grasp], mapper: Mapper) -> list[_Answer]:
     """Return posterior and label of each grasp, in order."""
     chunks = [grasps[i : i + _CHUNK] for i in range(0, len(grasps), _CHUNK)]
-    return [one for part in mapper(partial(_answers_of, recognizer), chunks) for one in part]
+    return [answer for part in mapper(partial(_answers_of, recognizer), chunks) for answer in part]
 
 
 def _answers_of(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[_Answer]:
@@ -361,8 +361,8 @@ def _scores_without(
 ) -> _Scores:
     recognizer = trainer.fit([g for g in train if g.label not in out])
     answered = _answers_of(recognizer, test)
-    known = [one for one in answered if one[1] not in out]
-    return known, [one for one in answered if one[1] in out]
+    known = [answer for answer in answered if answer[1] not in out]
+    return known, [answer for answer in answered if answer[1] in out]
 
 
 def _separation(scored: Sequence[_Scores]) -> tuple[float, tuple[float, float]]:

@@ -52,9 +52,9 @@ def left_out_parts(
     for out in sorted(set(groups)):
         taught = [g for g, group in zip(grasps, groups, strict=True) if group != out]
         n_of = Counter(g.label for g in taught)
-        known = {label for label, n in n_of.items() if n >= least}
+        labels = {label for label, n in n_of.items() if n >= least}
         test = [g for g, group in zip(grasps, groups, strict=True) if group == out]
-        part = tuple(tuple(g for g in some if g.label in known) for some in (taught, test))
+        part = tuple(tuple(g for g in some if g.label in labels) for some in (taught, test))
         if all(part):
             parts.append((part[0], part[1]))
     if not parts:

@@ -189,15 +189,15 @@ def frames_at(grasp: Grasp, force_n: float | None = None) -> NDArray[np.int64]:
         reached = ndimage.median_filter(total, 3, mode="nearest")
         reached, force_n = reached - reached.min(), None
         full = float(reached.max())
-    wanted = full if force_n is None else force_n
-    distance = np.abs(reached - wanted)
-    limit = _TOLERANCE * wanted
+    target = full if force_n is None else force_n
+    distance = np.abs(reached - target)
+    limit = _TOLERANCE * target
     if force_n is None:
         limit = max(limit, float(distance.min()))
     frames = np.flatnonzero(distance <= limit)
     if len(frames) == 0:
         raise ContactError(
-            f"no frame within {limit:.3g} N of {wanted:.3g} N; the ramp reached {full:.3g} N"
+            f"no frame within {limit:.3g} N of {target:.3g} N; the ramp reached {full:.3g} N"
         )
     return frames
 
@@ -242,10 +242,10 @@ def log_statistics(
     values: Sequence[NDArray[np.float64]],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return mean and spread of log|level|; each spread is shrunk towards the pooled one."""
-    logs = [np.log(np.abs(one)) for one in values]
-    counts = np.array([len(one) for one in logs])
-    mean = np.array([one.mean() if len(one) else np.nan for one in logs])
-    squares = np.array([np.sum((one - one.mean()) ** 2) if len(one) else 0.0 for one in logs])
+    logs = [np.log(np.abs(level)) for level in values]
+    counts = np.array([len(log) for log in logs])
+    mean = np.array([log.mean() if len(log) else np.nan for log in logs])
+    squares = np.array([np.sum((log - log.mean()) ** 2) if len(log) else 0.0 for log in logs])
     freedom = np.maximum(counts - 1, 0)
     pooled = float(squares.sum() / freedom.sum()) if freedom.sum() else _DEFAULT_SPREAD**2
     variance = (squares + _PRIOR_GRASPS * pooled) / (freedom + _PRIOR_GRASPS)

@@ -291,8 +291,8 @@ def find_thresholds(values: Sequence[ArrayLike]) -> LevelBands:
     """
     low = np.full(len(values), np.nan)
     high = np.full(len(values), np.nan)
-    for index, one in enumerate(values):
-        usable = np.asarray(one, dtype=np.float64).ravel()
+    for index, levels in enumerate(values):
+        usable = np.asarray(levels, dtype=np.float64).ravel()
         usable = usable[np.isfinite(usable)]
         if len(usable):
             low[index], high[index] = usable.min(), usable.max()

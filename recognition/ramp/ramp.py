@@ -439,9 +439,9 @@ def load_levels(grasps: Sequence[Grasp], rest: Rest) -> Levels:
     # Joining them at the end would need twice the memory.
     whole = _of_fields([first], lambda arrays: np.repeat(arrays[0], len(grasps), axis=0))
     for row, grasp in enumerate(grasps[1:], start=1):
-        one = _reduce(*held_part(grasp, rest))
-        for rows, of_one in zip(_arrays(whole), _arrays(one), strict=True):
-            rows[row] = of_one[0]
+        levels = _reduce(*held_part(grasp, rest))
+        for rows, values in zip(_arrays(whole), _arrays(levels), strict=True):
+            rows[row] = values[0]
     return whole
 
 
@@ -454,7 +454,7 @@ def _of_fields(
     parts: Sequence[Levels], join: Callable[[list[NDArray[Any]]], NDArray[Any]]
 ) -> Levels:
     """Return levels with the joined arrays of the parts."""
-    joined = [join(list(one)) for one in zip(*map(_arrays, parts), strict=True)]
+    joined = [join(list(arrays)) for arrays in zip(*map(_arrays, parts), strict=True)]
     n_pads = len(parts[0].maps)
     return Levels(maps=tuple(joined[:n_pads]), **dict(zip(_NAMES, joined[n_pads:], strict=True)))
 
@@ -463,7 +463,7 @@ def _arrays(levels: Levels) -> list[NDArray[Any]]:
     return [*levels.maps, *(getattr(levels, name) for name in _NAMES)]
 
 
-_NAMES = tuple(one.name for one in fields(Levels) if one.name != "maps")
+_NAMES = tuple(field.name for field in fields(Levels) if field.name != "maps")
 
 
 def _reduce(grasp: Grasp, ramp: Ramp) -> Levels:
@@ -475,7 +475,7 @@ def _reduce(grasp: Grasp, ramp: Ramp) -> Levels:
     progress = np.maximum.accumulate(smooth) / reference if reference > 0 else np.ones(n)
     weights = np.stack([_weights(progress, f, width, last) for f in LOAD_FRACTIONS])
     at = weights @ np.arange(n)
-    aperture_mm = _known(grasp.aperture_m) * 1e3
+    aperture_mm = _filled(grasp.aperture_m) * 1e3
     frames = np.arange(n, dtype=np.float64)
     t_start, t_end = float(grasp.t_s[ramp.start]), float(grasp.t_s[-1])
     times_s = np.interp(at, frames, grasp.t_s) - t_start
@@ -521,7 +521,7 @@ def _weights(
     return weights
 
 
-def _known(aperture_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _filled(aperture_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Fill unknown openings from their neighbours in time; all NaN stays NaN."""
     good = np.isfinite(aperture_m)
     if good.all() or not good.any():

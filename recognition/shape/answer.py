@@ -160,7 +160,7 @@ def joint_answer(fits: Sequence[ShapeFit], log_prior: Sequence[float] | None = N
     misfit = min(fit.misfit for fit in fits)
     scale = max(1.0, misfit)
     evidence = tuple(evidence_of(fit, scale, p) for fit, p in zip(fits, prior, strict=True))
-    answer = _answer([(one,) for one in evidence], [((0,),)] * len(fits), misfit)
+    answer = _answer([(item,) for item in evidence], [((0,),)] * len(fits), misfit)
     return replace(answer, evidence=evidence)
 
 
@@ -228,7 +228,7 @@ def _answer(
     main = max(range(len(faces)), key=lambda number: len(faces[number]))
     seen = thicknesses[main]
     sizes_m = [hypotheses[best][i].dimensions_m for i in faces[main]]
-    dimensions_m = {name: float(np.median([one[name] for one in sizes_m])) for name in sizes_m[0]}
+    dimensions_m = {name: float(np.median([size[name] for size in sizes_m])) for name in sizes_m[0]}
     if len(hypotheses[best]) > 1:
         # Several grasps give the thickness better than their median.
         dimensions_m[next(iter(dimensions_m))] = seen.size_m

@@ -104,9 +104,9 @@ def reduce_to_pads(grasp: Grasp, foam: FoamModel) -> PressedPads:
         raise ContactError("a pad carries no load at the end of the ramp")
     maps *= (gain.mean() / gain)[:, None, None]
     # Facing pads have one contact, so the order of columns with the more similar readings is true.
-    one, two = maps.reshape(*maps.shape[:2], *pads.pad_shape[first])
-    if float((one[-1] * two[-1, :, ::-1]).sum()) > float((one[-1] * two[-1]).sum()):
-        maps[1] = two[:, :, ::-1].reshape(len(two), -1)
+    own, facing = maps.reshape(*maps.shape[:2], *pads.pad_shape[first])
+    if float((own[-1] * facing[-1, :, ::-1]).sum()) > float((own[-1] * facing[-1]).sum()):
+        maps[1] = facing[:, :, ::-1].reshape(len(facing), -1)
     share = maps.mean(axis=0)
     sd = np.sqrt(
         (noise**2).sum(axis=1)[:, None] / 4.0 + _MODEL_FLOOR**2 + (_MODEL_SHARE * share) ** 2

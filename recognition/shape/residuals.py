@@ -240,8 +240,8 @@ class ShapeProblem:
         # The depth of each level is set so that the load is the measured one.
         trial = np.repeat(starts, len(_START_DEPTHS_MM), axis=0)
         trial[:, self.depth : self.rest] = np.tile(_START_DEPTHS_MM, len(starts))[:, None]
-        one = self.forces_n(trial, slice(self.depth, self.depth + 1))[:, 0]
-        loads = self.foam.response(one).sum(axis=1).reshape(len(starts), -1)
+        force_n = self.forces_n(trial, slice(self.depth, self.depth + 1))[:, 0]
+        loads = self.foam.response(force_n).sum(axis=1).reshape(len(starts), -1)
         measured = data.share.sum(axis=1)
         for theta, load in zip(starts, loads, strict=True):
             theta[self.depth : self.rest] = np.interp(measured, load, _START_DEPTHS_MM)

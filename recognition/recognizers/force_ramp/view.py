@@ -331,12 +331,12 @@ def fit_view(
     rows, scores, novelty = teaching.held_out_scores(held)
     temperature = fit_temperature(scores, classes[rows])
     whole = teaching.model(np.ones(len(classes), dtype=np.bool_))
-    known = logsumexp(scores / temperature, axis=1)
+    log_sums = logsumexp(scores / temperature, axis=1)
     return View(
         model=whole,
         temperature=temperature,
         limit=_limit(novelty, whole.taught.shape[1]),
-        log_new=float(np.quantile(known, SETTINGS.new_quantile)),
+        log_new=float(np.quantile(log_sums, SETTINGS.new_quantile)),
         placing_mm=_placing_mm(levels, classes) if opening else 0.0,
         even_share=_even_share(teaching, held, temperature) if opening else 0.0,
     )
@@ -393,7 +393,7 @@ class _Teaching:
 
     def model(self, rows: NDArray[np.bool_]) -> ClassModel:
         """Return the classes taught by some of the grasps (n,)."""
-        features, sizes_mm = (one if rows.all() else one[rows] for one in self.every)
+        features, sizes_mm = (values if rows.all() else values[rows] for values in self.every)
         target = np.ones(features.shape[1])
         if self.opening:
             n_opening = aperture_features(self.levels.take(np.arange(1))).shape[1]
