@@ -100,15 +100,15 @@ class ProfileMotion:
 
     def step(self, dt_s: float, *, blocked: bool) -> None:
         """Move on by ``dt_s`` s; a mechanism that is blocked stays where it is."""
-        wanted, change = 0.0, self.braking
+        target, change = 0.0, self.braking
         if self._goal is not None:
             velocity, change = self._limits
             left = self._goal - self.demand
-            wanted = math.copysign(min(velocity, math.sqrt(2.0 * change * abs(left))), left)
+            target = math.copysign(min(velocity, math.sqrt(2.0 * change * abs(left))), left)
         most = change * dt_s
-        self.speed += min(max(wanted - self.speed, -most), most)
+        self.speed += min(max(target - self.speed, -most), most)
         self.demand += self.speed * dt_s
-        if self._goal is not None and abs(self._goal - self.demand) <= 0.5 + abs(wanted) * dt_s:
+        if self._goal is not None and abs(self._goal - self.demand) <= 0.5 + abs(target) * dt_s:
             self.demand, self.speed, self._goal = self._goal, 0.0, None
         self.actual_speed = 0.0
         if not blocked:

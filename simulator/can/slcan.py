@@ -59,7 +59,7 @@ class SlcanAdapter:
         """Return the bytes for the client until ``now_s`` s."""
         messages = self._link.take(now_s)
         if self._open and self._chosen == self._link.bitrate:
-            self._output += b"".join(_text(one) for one in messages if not one.is_error_frame)
+            self._output += b"".join(_text(msg) for msg in messages if not msg.is_error_frame)
         output = bytes(self._output)
         self._output.clear()
         return output

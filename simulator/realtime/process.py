@@ -148,13 +148,13 @@ class CellRequests:
         self._devices.world.lift()
         return {"lifted": True}
 
-    def _hand(self, wanted: Any, _request: dict[str, Any]) -> dict[str, Any]:
-        if not isinstance(wanted, dict) or not wanted:
+    def _hand(self, openings: Any, _request: dict[str, Any]) -> dict[str, Any]:
+        if not isinstance(openings, dict) or not openings:
             raise SimulatorSettingsError('hand takes an object such as {"1": 0.02}: servo, m')
         axes = {str(1 + axis): axis for axis in range(len(self._devices.settings.servos))}
-        if unknown := set(wanted) - set(axes):
+        if unknown := set(openings) - set(axes):
             raise SimulatorSettingsError(f"there is no servo {', '.join(sorted(unknown))}")
-        moves = {axes[name]: _number(name, value) for name, value in wanted.items()}
+        moves = {axes[name]: _number(name, value) for name, value in openings.items()}
         for axis, half_opening_m in moves.items():
             self._devices.mechanics.move_by_hand(axis, half_opening_m)
         return {"moving": True}
@@ -203,12 +203,12 @@ class CellRequests:
         return {"cleared": self._injector.clear(text)}
 
 
-def _pose(wanted: Any) -> ObjectPose:
-    if not isinstance(wanted, dict) or not set(wanted) <= set(_POSE_FIELDS):
+def _pose(pose: Any) -> ObjectPose:
+    if not isinstance(pose, dict) or not set(pose) <= set(_POSE_FIELDS):
         raise SimulatorSettingsError(
-            f"a pose is an object of {', '.join(_POSE_FIELDS)}; got {wanted!r:.80}"
+            f"a pose is an object of {', '.join(_POSE_FIELDS)}; got {pose!r:.80}"
         )
-    numbers = {name: _number(name, value) for name, value in wanted.items()}
+    numbers = {name: _number(name, value) for name, value in pose.items()}
     for name, number in numbers.items():
         if abs(number) > _FARTHEST:
             raise SimulatorSettingsError(f"{name} is {number:g}, limit {_FARTHEST:g} m or rad")

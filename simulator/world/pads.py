@@ -49,11 +49,11 @@ class Foam:
     def pressure_pa(self, indentation_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the pressure in Pa of columns with an indentation in m; 0 at a negative one."""
         stretch = 1.0 - np.maximum(indentation_m, 0.0) / self.thickness_m
-        a, kept = self.exponent, np.maximum(stretch, _LEAST_STRETCH)
-        stress = 1.0 / kept - kept ** (a - 1.0)
+        a, limited = self.exponent, np.maximum(stretch, _LEAST_STRETCH)
+        stress = 1.0 / limited - limited ** (a - 1.0)
         if stretch.min(initial=1.0) < _LEAST_STRETCH:
             slope = _LEAST_STRETCH**-2.0 + (a - 1.0) * _LEAST_STRETCH ** (a - 2.0)
-            stress += slope * (kept - stretch)
+            stress += slope * (limited - stretch)
         pressure_pa: NDArray[np.float64] = (self.modulus_pa / a) * stress
         return pressure_pa
 

@@ -444,7 +444,7 @@ def _lying(triangles_m: NDArray[np.float64]) -> MeshShape:
     step_rad = math.pi / (len(sides_rad) if uneven_rad < math.radians(_SIDE_DEG) else 1)
     if np.ptp(heights_m) < _ROUND_SHARE * heights_m.max():
         step_rad = 0.0
-    c, s = (one(rolls_rad[heights_m.argmin()]) for one in (math.cos, math.sin))
+    c, s = (function(rolls_rad[heights_m.argmin()]) for function in (math.cos, math.sin))
     triangles_m = triangles_m @ np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
     return MeshShape(triangles_m=triangles_m, roll_step_rad=step_rad)
 

@@ -59,17 +59,17 @@ class Stage:
         Raises SimulatorSettingsError or SimulatorStateError as `PhysicalWorld.place`, for an
         unknown shape or fingers in the way.
         """
-        wanted = self._at(pose)
+        stage_pose = self._at(pose)
         if label == NOTHING:
             self._world.place(label)
             self._carried = None
-            return wanted
+            return stage_pose
         self._world.shape(label)
         try:
-            rested, self._off_pads = self._world.place(label, wanted), False
+            rested, self._off_pads = self._world.place(label, stage_pose), False
         except SimulatorSettingsError:
             self._world.remove()
-            rested, self._off_pads = wanted, True
+            rested, self._off_pads = stage_pose, True
         self._carried = (label, pose)
         return rested
 
