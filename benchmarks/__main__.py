@@ -28,7 +28,7 @@ def main() -> None:
         given = {WITH_DATA[arguments[0]]: next(iter(arguments[1:]), None)}
         importlib.import_module(MODULES[arguments[0]]).main(**given)
         return
-    for name in arguments or [one for one in MODULES if one not in ALONE]:
+    for name in arguments or [key for key in MODULES if key not in ALONE]:
         if name not in MODULES:
             sys.exit(f"no benchmark is named {name!r}; there are {', '.join(MODULES)}")
         print(f"== {name}", flush=True)

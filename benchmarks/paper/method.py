@@ -164,8 +164,8 @@ def infimum_moves(kind: str, n: int) -> Array:
     """Return how far the infimum of eq. (9) moves, where M^-1 v replaces v above and below."""
     lowest = np.linalg.eigvalsh(CAPS[3])[0]
     bounds = [
-        sdp_bound(by_inverse(CAPS[3], one), by_inverse(np.eye(4), one))
-        for one in some_inverses(kind, n)
+        sdp_bound(by_inverse(CAPS[3], inverse), by_inverse(np.eye(4), inverse))
+        for inverse in some_inverses(kind, n)
     ]
     return np.max(np.abs(bounds / lowest - 1.0), keepdims=True)
 
@@ -177,7 +177,7 @@ def varies(matrices: Array, reading: Reading, kind: str) -> Array:
     """Return the largest over the smallest eigenvalue of each object on a grid, less 1."""
     M_inv = inverses(KINDS[kind])
     values = [np.abs(smallest_eigenvalue(by_inverse(Q, M_inv), reading).value) for Q in matrices]
-    return np.array([one.max() / one.min() for one in values]) - 1.0
+    return np.array([value.max() / value.min() for value in values]) - 1.0
 
 
 # -- Solvers of section 3: each takes matrices and returns min |lambda| in their precision ---------
@@ -270,14 +270,14 @@ def ramp_surface(xy: Array, share: Array, height: Array) -> Array:
 def same_order() -> Array:
     """Return 1 where the 5x5 form orders the objects' levels as the 4x4 form does, else 0."""
     along = np.linspace(-1.5, 1.5, 5)
-    x, y, share = (one.ravel() for one in np.meshgrid(along, along, np.linspace(0.1, 1.0, 10)))
+    x, y, share = (grid.ravel() for grid in np.meshgrid(along, along, np.linspace(0.1, 1.0, 10)))
     fives = [
         ramp_surface(
             np.column_stack([x, y]), share, Q[0, 0] * x * x + Q[1, 1] * y * y + Q[3, 3] * share**0.5
         )
         for Q in CAPS
     ]
-    orders = [np.argsort(np.abs(np.linalg.eigvalsh(one)).min(axis=1)) for one in (fives, CAPS)]
+    orders = [np.argsort(np.abs(np.linalg.eigvalsh(form)).min(axis=1)) for form in (fives, CAPS)]
     return np.array([float(np.array_equal(*orders))])
 
 
@@ -349,5 +349,5 @@ def main(effort: float = 1.0) -> None:
     for where, claim, residuals, limit in claims(effort):
         values = residuals()
         verdict = "holds" if values.max() <= limit else "does not hold"
-        text = ", ".join(f"{one:.1e}" for one in values)
+        text = ", ".join(f"{value:.1e}" for value in values)
         line(where, f"{claim}: {text} ({limit:g}): {verdict}")

@@ -99,9 +99,9 @@ def press(label: str, pose: ObjectPose, full_n: float) -> Touch:
         heights_m = posed_heights(PAPER_OBJECTS[label], pose, x_m, y_m)[side]
         lag_m = heights_m.max() - heights_m
         depth_m = _depths_m(lag_m[lag_m < _FOAM.thickness_m], force_n, grid.cell_area_m2)
-        pressures_pa = (_FOAM.pressure_pa(one_m - lag_m) for one_m in depth_m)
+        pressures_pa = (_FOAM.pressure_pa(deepest_m - lag_m) for deepest_m in depth_m)
         shares = grid.shares((slice(None), slice(None)))
-        taxels.append(np.array([grid.taxel_force_n(one, shares) for one in pressures_pa]))
+        taxels.append(np.array([grid.taxel_force_n(map_pa, shares) for map_pa in pressures_pa]))
         aperture_m = aperture_m + heights_m.max() - depth_m
     return Touch(label, force_n, np.concatenate(taxels, axis=1), aperture_m)
 
@@ -218,9 +218,9 @@ def classify(taught: Sequence[Array], tested: Sequence[Array]) -> Outcome:
     """Name tested levels, (objects, n) for each teaching, by the levels taught in it."""
     n = len(LABELS)
     counts = np.zeros((n, n + 1), dtype=np.int64)
-    for taught_one, tested_one in zip(taught, tested, strict=True):
-        levels = find_thresholds(list(taught_one))
-        for held, values in enumerate(tested_one):
+    for taught_values, tested_values in zip(taught, tested, strict=True):
+        levels = find_thresholds(list(taught_values))
+        for held, values in enumerate(tested_values):
             names = name_by_threshold(levels, values)
             counts[held] += np.bincount(np.where(names < 0, n, names), minlength=n + 1)
     return Outcome(counts)
@@ -230,7 +230,7 @@ def outcomes(taught: Sequence[Array], tested: Sequence[Array], n_taught: int) ->
     """Teach with the first levels of one and name the further ones of the other, by each view."""
     return {
         view: classify(
-            [one[:, :n_taught, v] for one in taught], [one[:, n_taught:, v] for one in tested]
+            [data[:, :n_taught, v] for data in taught], [data[:, n_taught:, v] for data in tested]
         )
         for v, view in enumerate(VIEWS)
     }
@@ -291,7 +291,7 @@ def of_levels(touches: Sequence[Touch]) -> None:
     claim(
         "Fig. 2, eq. (11)",
         "650 / 250 / 100 / 50 kOhm at 2 / 4 / 6 / 8 N",
-        " / ".join(f"{one:.0f}" for one in kohm) + " kOhm",
+        " / ".join(f"{value:.0f}" for value in kohm) + " kOhm",
         holds=bool(np.all((kohm / quoted < _NEAR) & (quoted / kohm < _NEAR))),
         in_part=True,
     )
@@ -306,7 +306,7 @@ def of_levels(touches: Sequence[Touch]) -> None:
     )
     grid = len(PAPER_SWEEP.scale), len(PAPER_SWEEP.translation), len(PAPER_SWEEP.angle_rad)
     readings = (Reading.SMALLEST_MAGNITUDE, Reading.ALGEBRAIC_MINIMUM)
-    swept = [sweep(surfaces, replace(PAPER_SWEEP, reading=one)) for one in readings]
+    swept = [sweep(surfaces, replace(PAPER_SWEEP, reading=reading)) for reading in readings]
     values = np.abs(np.reshape(swept, (len(readings), len(touches), *grid)))
     for kind, part in PARTS.items():
         span = values[part]
@@ -322,9 +322,9 @@ def of_levels(touches: Sequence[Touch]) -> None:
 
 def of_noise(curve: dict[float, list[Array]], n_taught: int) -> None:
     """Print the claims about noise, from the lessons at each noise."""
-    silent, paper, loud = (outcomes(one, one, n_taught) for one in curve.values())
+    silent, paper, loud = (outcomes(lessons, lessons, n_taught) for lessons in curve.values())
     fixed = outcomes(curve[0.0], curve[PAPER_NOISE], n_taught)[VIEWS[0]]
-    one, mean = VIEWS[:2]
+    frame, mean = VIEWS[:2]
     lost, beyond = (a[mean].share - b[mean].share for a, b in ((silent, paper), (paper, loud)))
     claim(
         "section 4.1",
@@ -336,15 +336,15 @@ def of_noise(curve: dict[float, list[Array]], n_taught: int) -> None:
     claim(
         "section 4.1",
         "above 8 % the check fails",
-        f"at 20 %: {loud[mean]} filtered, {loud[one]} from one frame",
+        f"at 20 %: {loud[mean]} filtered, {loud[frame]} from one frame",
         holds=False,
         in_part=beyond > _NO_EFFECT,
     )
     claim(
         "section 4.2",
         "thresholds have to be adjusted to the noise",
-        f"one frame at 8 %: {paper[one]} adjusted, {fixed} with those taught without noise",
-        holds=paper[one].share - fixed.share > _NO_EFFECT,
+        f"one frame at 8 %: {paper[frame]} adjusted, {fixed} with those taught without noise",
+        holds=paper[frame].share - fixed.share > _NO_EFFECT,
     )
 
 

@@ -157,17 +157,17 @@ def main(effort: float = 1.0) -> None:
     seeds = range(_FIRST_SEED, _FIRST_SEED + n)
     with ProcessPoolExecutor() as workers:
         trials = list(workers.map(trial, seeds, map(drawn_harm, seeds)))
-    gripped = [one for one in trials if not one.refused]
-    broken = sorted((one for one in gripped if one.broken), key=lambda one: one.cap_n - one.true_n)
-    errors = [one.error for one in gripped if one.error]
+    gripped = [run for run in trials if not run.refused]
+    broken = sorted((run for run in gripped if run.broken), key=lambda run: run.cap_n - run.true_n)
+    errors = [run.error for run in gripped if run.error]
     above = sum(error.startswith(ForceAboveCap.__name__) for error in errors)
-    harmed = sum(bool(one.harm) for one in gripped)
+    harmed = sum(bool(run.harm) for run in gripped)
     line("compared", f"{n} configs from seed {_FIRST_SEED} on, {n - len(gripped)} refused")
     line("", f"all pads fail in {harmed} of {len(gripped)}")
     line("not done", f"{len(errors)} ended with an error, {above} with the force above its cap")
-    silent = sum(not one.error for one in broken)
+    silent = sum(not run.error for run in broken)
     line("above the cap", f"{len(broken)} by more than {ALLOWED_N} N, {silent} without a fault")
-    for one in broken:
-        line("", str(one))
-    highest = max((one.true_n / one.cap_n for one in gripped), default=0.0)
+    for run in broken:
+        line("", str(run))
+    highest = max((run.true_n / run.cap_n for run in gripped), default=0.0)
     line("  ratio", f"the largest true force is {highest:.2f} of its cap")

@@ -195,8 +195,8 @@ class Rig:
         self._part, self._relaxed_n = part, 0.0
         clock = VirtualClock()
         seeds = [None if servos is None else f"{servos} {i}" for i in (0, 1)]
-        drawn = (figures or drawn_drive(XM430_W350, one) for one in seeds)
-        motors = [ServoMotor(XM430_W350, figures=one) for one in drawn]
+        drawn = (figures or drawn_drive(XM430_W350, servo_seed) for servo_seed in seeds)
+        motors = [ServoMotor(XM430_W350, figures=drive) for drive in drawn]
         for motor in motors:
             motor.friction_factor, motor.kt_factor = factors
         directions, open_m = (1, -1), part.width_m + _FREE_M
@@ -443,7 +443,7 @@ def row(setup: Setup, servos: int | None, every: int = 1) -> tuple[str, list[str
     """Return the figures of all ramps of a gripper, and a line for each that misses an aim."""
     qualities = {case: grasp(setup, case, servos) for case in CASES[::every]}
     marks = {case: met(quality, case.final_n) for case, quality in qualities.items()}
-    counts = ", ".join(f"{sum(one):2d}" for one in zip(*marks.values(), strict=True))
+    counts = ", ".join(f"{sum(aim):2d}" for aim in zip(*marks.values(), strict=True))
     held = [quality.holding_n for quality in qualities.values() if not quality.lost]
     mean_n = sum(held) / max(1, len(held))
     missed = [f"{case}: {qualities[case]}" for case, mark in marks.items() if not all(mark)]

@@ -87,8 +87,8 @@ def read_logs(path: Path) -> list[Log]:
                 for joint in joints or ["1"]
             ]
         for log in logs:
-            arrays = [one for one in log if isinstance(one, np.ndarray)]
-            if {one.shape for one in arrays} != {(len(log.time_s),)} or len(log.time_s) < _LEAST:
+            arrays = [data for data in log if isinstance(data, np.ndarray)]
+            if {data.shape for data in arrays} != {(len(log.time_s),)} or len(log.time_s) < _LEAST:
                 raise ValueError(f"its arrays are not of one length of {_LEAST} samples or more")
             if not np.isfinite(np.concatenate(arrays[:3])).all() or np.diff(log.time_s).min() < 0.0:
                 raise ValueError("its times do not grow, or a value is no number")

@@ -42,9 +42,9 @@ def cell_grasps(
         cell.controller.start()
         grasps = list[Grasp]()
         for number, label in enumerate(objects, start=1000 * seed):
-            one = Collection(label=label, n_planned=n_grasps)
-            one.fill(cell.controller, config.sequence, seed=number)
-            grasps += one.grasps
+            collection = Collection(label=label, n_planned=n_grasps)
+            collection.fill(cell.controller, config.sequence, seed=number)
+            grasps += collection.grasps
         return grasps
 
 
@@ -64,7 +64,7 @@ def asked(recognizer: Recognizer, grasps: Sequence[Grasp], n_fused: int = 1) -> 
     posteriors = [(grasp.label, recognizer.posterior(grasp)) for grasp in grasps]
     if n_fused > 1:
         parts = [posteriors[i : i + n_fused] for i in range(0, len(grasps), n_fused)]
-        posteriors = [(part[0][0], fuse([one for _, one in part])) for part in parts]
+        posteriors = [(part[0][0], fuse([posterior for _, posterior in part])) for part in parts]
     return [JudgedAnswer(truth, truth in p.labels, p.best, p.name) for truth, p in posteriors]
 
 
@@ -88,18 +88,18 @@ def figures(answers: Sequence[JudgedAnswer], groups: Sequence[object] | None = N
 
     def text(kind: str, hits: Sequence[bool], taught: bool) -> str:
         among = [
-            group for one, group in zip(answers, groups or (), strict=False) if one.taught is taught
+            group for a, group in zip(answers, groups or (), strict=False) if a.taught is taught
         ]
         interval = interval_by_object(hits, list(map(str, among)), fewest=2) if among else None
         return f"{kind} {share(sum(hits), len(hits), interval)}"
 
-    known = [one for one in answers if one.taught]
-    new = [one.name == UNKNOWN for one in answers if not one.taught]
+    known = [answer for answer in answers if answer.taught]
+    new = [answer.name == UNKNOWN for answer in answers if not answer.taught]
     kinds = {
-        "likeliest right": [one.best == one.truth for one in known],
-        "named right": [one.name == one.truth for one in known],
-        "wrong": [one.name not in (one.truth, UNKNOWN) for one in known],
-        "UNKNOWN": [one.name == UNKNOWN for one in known],
+        "likeliest right": [answer.best == answer.truth for answer in known],
+        "named right": [answer.name == answer.truth for answer in known],
+        "wrong": [answer.name not in (answer.truth, UNKNOWN) for answer in known],
+        "UNKNOWN": [answer.name == UNKNOWN for answer in known],
     }
     texts = [text(kind, hits, True) for kind, hits in kinds.items()]
     unknown = f"; {text('new UNKNOWN', new, False)} of {len(new)}" if new else ""

@@ -135,7 +135,7 @@ def named(
     else:
         recognizer = make_trainer(name, use_aperture=opening).fit(train)
         names = [recognizer.posterior(grasp).best for grasp in test]
-    right = sum(one == label for one, label in zip(names, truth, strict=True))
+    right = sum(answer == label for answer, label in zip(names, truth, strict=True))
     return f"{share(right, len(truth))} of {len(truth)}{chosen}"
 
 

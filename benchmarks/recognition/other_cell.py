@@ -99,7 +99,7 @@ def main(effort: float = 1.0) -> None:
     every, groups = [], []
     for label in taught_objects:
         gauge = [grasp for grasp in untold if grasp.label == label][:GAUGE_GRASPS]
-        others = [grasp for grasp in untold if not any(grasp is one for one in gauge)]
+        others = [grasp for grasp in untold if not any(grasp is gauged for gauged in gauge)]
         answers = asked(taught.gauge(label, gauge), others)
         every += answers
         groups += [grasp.start_ms for grasp in others]

@@ -66,9 +66,9 @@ def row(case: str, effort: float) -> str:
             controller.zeroing.measure()
         clock.on_advance.append(look)
         for seed, label in enumerate(labels):
-            one = Collection(label=label, n_planned=repeats(_N_TEACH, effort, least=6))
-            one.fill(controller, config.sequence, seed=seed, on_grasp=held)
-            model.add(one.grasps)
+            collection = Collection(label=label, n_planned=repeats(_N_TEACH, effort, least=6))
+            collection.fill(controller, config.sequence, seed=seed, on_grasp=held)
+            model.add(collection.grasps)
         model.train()
         names, took_s = Counter[str](), list[float]()
         tasks = Tasks(controller, ModelFile(model, None))
