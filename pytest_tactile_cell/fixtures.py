@@ -73,9 +73,9 @@ class MakeCell(Generic[Made]):
         """
         from pytest_tactile_cell.configs import simulated_config
 
-        wanted = self.config if config is None else config
+        base = self.config if config is None else config
         made = self.make(
-            simulated_config(wanted, objects=objects, seed=seed, changes=changes), **options
+            simulated_config(base, objects=objects, seed=seed, changes=changes), **options
         )
         self.faults.add(made, made.end)
         return made

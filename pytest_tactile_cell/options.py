@@ -101,19 +101,19 @@ def pytest_configure(config: pytest.Config) -> None:
     options = HardwareOptions.of(config)
     if (options.can_interface is None) != (options.can_channel is None):
         raise pytest.UsageError("--can-interface and --can-channel need each other: name both")
-    wanted = [text.partition(":")[0] for text in config.getoption("contract")]
-    for kind in wanted:
+    kinds = [text.partition(":")[0] for text in config.getoption("contract")]
+    for kind in kinds:
         if kind not in CONTRACTS:
             raise pytest.UsageError(f"no contract {kind!r}; there are {', '.join(CONTRACTS)}")
-    if wanted:
+    if kinds:
         try:
             refuse_shadows()
         except ImportError as error:
             raise pytest.UsageError(str(error)) from error
-    if wanted and config.args_source is not pytest.Config.ArgsSource.ARGS:
+    if kinds and config.args_source is not pytest.Config.ArgsSource.ARGS:
         config.args = []
     folder = Path(__file__).with_name("contracts")
-    config.args += [str(folder / f"{kind}.py") for kind in dict.fromkeys(wanted)]
+    config.args += [str(folder / f"{kind}.py") for kind in dict.fromkeys(kinds)]
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -125,7 +125,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     kind = metafunc.module.__name__.rpartition(".")[2]
     available = list(next(group for group in GROUPS if group.what == kind.replace("_", " ")))
     texts = [text.partition(":") for text in metafunc.config.getoption("contract")]
-    names = [name for one, _, name in texts if one == kind and name]
+    names = [name for what, _, name in texts if what == kind and name]
     for name in names:
         if name not in available:
             raise pytest.UsageError(f"no {kind} {name!r} is installed; there are {available}")

@@ -107,12 +107,12 @@ class CellProcess(AskedCell):
         # The path of the socket must be short, so the folder of the test cannot be used.
         self._folder = tempfile.TemporaryDirectory(prefix="cell-")
         folder = Path(self._folder.name)
-        wanted = folder / "simulate.yaml"
-        wanted.write_text(config_text(config, comments=False), encoding="utf-8")
+        config_path = folder / "simulate.yaml"
+        config_path.write_text(config_text(config, comments=False), encoding="utf-8")
         self._log_path, announced = folder / "simulate.log", folder / "announced.json"
         with self._log_path.open("wb") as log, announced.open("wb") as line:
             self._process = subprocess.Popen(
-                [*_SIMULATE, "-c", wanted, "--out", folder],
+                [*_SIMULATE, "-c", config_path, "--out", folder],
                 stdin=subprocess.DEVNULL,
                 stdout=line,
                 stderr=log,

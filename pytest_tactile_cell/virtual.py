@@ -133,11 +133,11 @@ class VirtualCell:
         cell.errors.CellError
             If there are too few grasps for training, or as `CellController.grasp`.
         """
-        wanted = self.config.recognition
+        settings = self.config.recognition
         return train(
             grasps_of(self.controller, self.config.sequence, labels, grasps, seed=seed),
-            wanted.recognizer,
-            use_aperture=wanted.use_aperture,
+            settings.recognizer,
+            use_aperture=settings.use_aperture,
         ).recognizer
 
     def identify(
@@ -191,7 +191,7 @@ def grasps_of(
     """
     grasps: list[Grasp] = []
     for number, label in enumerate(labels):
-        one = Collection(label=label, n_planned=n_grasps)
-        one.fill(controller, sequence, seed=seed + number)
-        grasps += one.grasps
+        collection = Collection(label=label, n_planned=n_grasps)
+        collection.fill(controller, sequence, seed=seed + number)
+        grasps += collection.grasps
     return grasps

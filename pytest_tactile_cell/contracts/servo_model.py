@@ -12,7 +12,7 @@ from simulator.settings import SimulatedServoSettings, SimulatorSettings
 def test_its_figures_fit_each_other(plugin_name: str) -> None:
     model: ServoModel = SERVO_MODELS[plugin_name]
     assert model.name == plugin_name
-    numbers = [one.number for one in SERVO_MODELS.usable().values()]
+    numbers = [other.number for other in SERVO_MODELS.usable().values()]
     assert numbers.count(model.number) == 1
     assert model.min_voltage_raw < model.nominal_voltage_v / model.voltage_unit_v
     assert model.nominal_voltage_v / model.voltage_unit_v <= model.max_voltage_raw
