@@ -306,19 +306,19 @@ def _axes(
     phase: Callable[[], GripperPhase],
 ) -> AxesPositioner:
     """Return the positioner with axes; simulator, person or host bring the objects."""
-    wanted, period_s = config.positioner, 1.0 / config.gripper.loop_rate_hz
+    section, period_s = config.positioner, 1.0 / config.gripper.loop_rate_hz
     clock: Clock = time if simulated is None else simulated.clock
     watch, axes = Watch(clock, period_s), []
-    if wanted.drives:
+    if section.drives:
         bus: CanBus
         if simulated is not None and simulated.axes_can_bus is not None:
             bus = simulated.axes_can_bus
         else:
             bus = drive_bus(config)
             undo.callback(close_bus, bus)
-        loss_s = 1e-3 * wanted.can.heartbeat_loss_ms
-        axes += drive_axes(wanted.drives, bus, watch, loss_s=loss_s)
-    for axis in wanted.axes:
+        loss_s = 1e-3 * section.can.heartbeat_loss_ms
+        axes += drive_axes(section.drives, bus, watch, loss_s=loss_s)
+    for axis in section.axes:
         if isinstance(axis, ServoAxisConfig):
             stream: ByteStream
             if simulated is not None:
@@ -337,7 +337,7 @@ def _axes(
             operator = OperatorPositioner(ask)
             patient.call(lambda: operator.present(label), supervise)
 
-    moved = tuple(axis.moves for axis in wanted.axes)
+    moved = tuple(axis.moves for axis in section.axes)
     return AxesPositioner(axes=Axes(axes, watch), moved=moved, bring=bring, phase=phase)
 
 

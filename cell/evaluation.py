@@ -94,8 +94,8 @@ class EvaluationResult:
         names = ("split", "n_train", "n_test", "labels", "seconds", "default", "left_out")
         return {name: getattr(self, name) for name in names} | {
             "recognizers": {
-                name: _figures(one.full) | {"without_aperture": _figures(one.without_aperture)}
-                for name, one in self.recognizers.items()
+                name: _figures(pair.full) | {"without_aperture": _figures(pair.without_aperture)}
+                for name, pair in self.recognizers.items()
             }
         }
 
@@ -201,7 +201,7 @@ def _parts(grasps: Sequence[Grasp], split: str, train: Sequence[Grasp] | None) -
 
 
 def _figures(evaluation: Evaluation) -> dict[str, Any]:
-    names = [one.name for one in fields(evaluation) if one.name not in _NOT_WRITTEN]
+    names = [field.name for field in fields(evaluation) if field.name not in _NOT_WRITTEN]
     return {name: getattr(evaluation, name) for name in names}
 
 
@@ -213,7 +213,7 @@ def with_spread(trained: Trained, grasps: Sequence[Grasp]) -> tuple[Trained, Dri
     recognizer = trained.recognizer
     if not isinstance(recognizer, DriftFollowing) or recognizer.zero is not None:
         return trained, None
-    prior = learn_spread(grasps, [f"{day_of(one.start_ms)} {cell_of(one)}" for one in grasps])
+    prior = learn_spread(grasps, [f"{day_of(grasp.start_ms)} {cell_of(grasp)}" for grasp in grasps])
     if prior is None:
         return trained, None
     return replace(trained, recognizer=recognizer.with_grid(DriftGrid(prior=prior))), prior

@@ -72,11 +72,11 @@ class Plugins:
         """Return a plugin. Raises ConfigError if it is unknown, ambiguous or cannot be loaded."""
         entry = self.entry(name)
         try:
-            plugin, wanted = entry.load(), resolve_name(self._kind)
-            if not isinstance(plugin, wanted) and not (
-                isinstance(plugin, type) and issubclass(plugin, wanted)
+            plugin, kind = entry.load(), resolve_name(self._kind)
+            if not isinstance(plugin, kind) and not (
+                isinstance(plugin, type) and issubclass(plugin, kind)
             ):
-                raise TypeError(f"{entry.value} is not a {wanted.__name__}")
+                raise TypeError(f"{entry.value} is not a {kind.__name__}")
         except (Exception, SystemExit) as error:
             raise ConfigError(
                 f"{self.what} {name!r} of {_package(entry)} does not load: "
@@ -91,11 +91,11 @@ class Plugins:
             packages = " and ".join(_package(entry) for entry in entries)
             raise ConfigError(f"{self.what} {name!r} is in {packages}: uninstall one of them")
         if not entries:
-            known = ", ".join(self) or f"none: install {OWN_PACKAGE} again"
-            near = get_close_matches(name.upper(), [one.upper() for one in self], n=1)
-            meant = "".join(f"did you mean {one}? " for one in self if one.upper() in near)
+            names = ", ".join(self) or f"none: install {OWN_PACKAGE} again"
+            near = get_close_matches(name.upper(), [key.upper() for key in self], n=1)
+            meant = "".join(f"did you mean {key}? " for key in self if key.upper() in near)
             raise ConfigError(
-                f"no {self.what} {name!r} is installed; {meant}installed are {known}. Install the "
+                f"no {self.what} {name!r} is installed; {meant}installed are {names}. Install the "
                 "package that brings it, then look at `tactile-cell doctor --plugins`"
             )
         return entries[0]
@@ -111,7 +111,7 @@ class Plugins:
 
     def usable(self) -> dict[str, Any]:
         """Return the plugins that load, by name."""
-        return {one.name: self[one.name] for one in self.examine() if not one.problem}
+        return {plugin.name: self[plugin.name] for plugin in self.examine() if not plugin.problem}
 
     def examine(self) -> Iterator[Plugin]:
         """Load each plugin and yield its description."""

@@ -174,7 +174,7 @@ def ask(target: str, selection: Selection = EVERYTHING) -> Answers:
             f"no grasp of {target} is selected: look at its folders for cells and days"
         )
     keys = {name: rows[name] for name in ("cell", "day", "label")}
-    signals = {name: pa.array(one, from_pandas=True) for name, one in _signals(rows).items()}
+    signals = {name: pa.array(values, from_pandas=True) for name, values in _signals(rows).items()}
     means = _grouped(
         pa.table(keys | signals),
         ["cell", "day", "label"],
@@ -195,7 +195,7 @@ def ask(target: str, selection: Selection = EVERYTHING) -> Answers:
     return Answers(
         n_grasps=rows.num_rows,
         cells={
-            cell: tuple(dict.fromkeys(one["day"] for one in some)) for cell, some in of_cell.items()
+            cell: tuple(dict.fromkeys(row["day"] for row in some)) for cell, some in of_cell.items()
         },
         confusions=tuple(_confusions(parts)),
         trends=tuple(trend for cell, some in of_cell.items() for trend in _trends(cell, some)),
@@ -244,7 +244,7 @@ def _trends(cell: str, rows: Sequence[Row]) -> Iterable[Trend]:
             and low * high > 0.0
             and int(np.sign(change)) in signal.signs
         )
-        days_taken = [day for day, one in zip(days, taken, strict=True) if one]
+        days_taken = [day for day, is_taken in zip(days, taken, strict=True) if is_taken]
         yield Trend(
             cell=cell,
             signal=name,

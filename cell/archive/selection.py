@@ -52,8 +52,8 @@ def parse_selection(
     """
     first, dots, last = (".." if days is None else days).partition("..")
     ends = (first, last if dots else first)
-    wanted = f"--days is {days!r}; write 2027-01-15, or 2027-01-01..2027-03-31"
-    with raised_as(ConfigError, ValueError, where=wanted):
+    remedy = f"--days is {days!r}; write 2027-01-15, or 2027-01-01..2027-03-31"
+    with raised_as(ConfigError, ValueError, where=remedy):
         first, last = (str(date.fromisoformat(day)) if day or not dots else "" for day in ends)
     return Selection(
         cells=frozenset(cells or ()),

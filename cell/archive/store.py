@@ -197,12 +197,12 @@ def batches(rows: Sequence[Row], recording: str, sha256: str) -> Iterator[pa.Rec
             for (grasp, further), described in zip(part, _described(grasps, rest), strict=True)
         ]
         yield pa.RecordBatch.from_arrays(
-            [pa.array([_known(row.get(one.name)) for row in values], one.type) for one in TABLE],
+            [pa.array([_finite(row.get(key.name)) for row in values], key.type) for key in TABLE],
             schema=TABLE,
         )
 
 
-def _known(value: Any) -> Any:
+def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
@@ -237,7 +237,7 @@ def _described(grasps: Sequence[Grasp], rest: Rest | None) -> list[dict[str, Any
         levels = load_levels(grasps, rest) if rest is not None else None
     except ValueError:
         if len(grasps) > 1:
-            return [one for grasp in grasps for one in _described([grasp], rest)]
+            return [values for grasp in grasps for values in _described([grasp], rest)]
         levels = None
     described: list[dict[str, Any]] = [{} for _ in grasps]
     if rest is None or levels is None or not levels.touched.any():
@@ -351,7 +351,7 @@ class Archive:
             rows = ds.dataset(
                 self._root, TABLE, format="parquet", filesystem=self._fs, partitioning=PARTITION
             )
-            files = sorted(rows.get_fragments(where), key=lambda one: one.path)
+            files = sorted(rows.get_fragments(where), key=lambda file: file.path)
         for file in files:
             with _readable(file.path):
                 yield from file.to_batches(

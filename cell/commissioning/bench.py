@@ -78,9 +78,9 @@ class Bench:
         base: CellConfig | None = None,
     ) -> None:
         self.folder = folder
-        for kept in (folder / CONFIG_NAME, folder / BASE_NAME):
-            if base is None and kept.exists():
-                base = load_config(kept)
+        for path in (folder / CONFIG_NAME, folder / BASE_NAME):
+            if base is None and path.exists():
+                base = load_config(path)
         self.base = base or CellConfig(name=folder.resolve().name[:80] or "cell")
         """First config."""
         self.lines = lines or LineOpener()
@@ -103,7 +103,7 @@ class Bench:
         positioner = self.base.positioner
         if positioner.kind == "simulated" and not positioner.socket:
             changes["positioner"] = {"kind": "operator"}
-        return changed_config(self.base, changes | self._found())
+        return changed_config(self.base, changes | self._changes())
 
     def gripper(self, **changes: Any) -> GripperConfig:
         """Return the gripper's section so far, with some keys changed; raises ConfigError."""
@@ -115,16 +115,16 @@ class Bench:
 
     def _section(self, name: str, base: _Section, changes: Mapping[str, Any]) -> _Section:
         values = {
-            k.partition(".")[2]: v for k, v in self._found().items() if k.startswith(f"{name}.")
+            k.partition(".")[2]: v for k, v in self._changes().items() if k.startswith(f"{name}.")
         }
         return changed_config(base, values | dict(changes))
 
-    def _found(self) -> dict[str, Any]:
+    def _changes(self) -> dict[str, Any]:
         """Return the settings; each servo with its ``measured`` of the base, which no step sets."""
-        measured = {(one.id, one.model): one.measured for one in self.base.gripper.servos}
+        measured = {(servo.id, servo.model): servo.measured for servo in self.base.gripper.servos}
         servos = [
-            one | {"measured": measured.get((one["id"], one["model"]), "")}
-            for one in self.settings.get("gripper.servos", ())
+            servo | {"measured": measured.get((servo["id"], servo["model"]), "")}
+            for servo in self.settings.get("gripper.servos", ())
         ]
         return dict(self.settings) | ({"gripper.servos": servos} if servos else {})
 
@@ -144,7 +144,7 @@ class Bench:
             baudrate=rate,
             clock=self.clock,
             allowance_s=_PATIENCE_S,
-            ram_shifts={one.id: MODELS[one.model].ram_shift for one in gripper.servos},
+            ram_shifts={servo.id: MODELS[servo.model].ram_shift for servo in gripper.servos},
         )
         return closing(bus)
 

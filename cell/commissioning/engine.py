@@ -213,8 +213,8 @@ class Engine:
         }
         config = self.bench.folder / CONFIG_NAME
         if config.exists() and (before := config.read_text("utf-8")) != texts[CONFIG_NAME]:
-            write_text(kept := free_name(config), before, error=CellError, what="earlier config")
-            dialog.say(f"{CONFIG_NAME} changes; the earlier one with its comments is {kept}")
+            write_text(backup := free_name(config), before, error=CellError, what="earlier config")
+            dialog.say(f"{CONFIG_NAME} changes; the earlier one with its comments is {backup}")
         for name, text in texts.items():
             write_text(self.bench.folder / name, text, error=CellError, what=name)
         return tuple(self.bench.folder / name for name in texts)

@@ -443,7 +443,7 @@ class _Hands:
             )
         names = [f"finger {number} (servo {s.id})" for number, s in enumerate(self._servos)]
         # So far ahead that the goal gets this current.
-        ways_rad = [max(_FIRST_WAY_RAD, closing_margin_rad(one, cap_a)) for one in self._models]
+        ways_rad = [max(_FIRST_WAY_RAD, closing_margin_rad(model, cap_a)) for model in self._models]
         most = f"at most, with {cap_a:.2f} A at most, then no torque"
         self._dialog.approve(
             [

@@ -73,8 +73,8 @@ def _forces_n(periods: Sequence[Cycle]) -> NDArray[np.float64]:
 def _grip_n(periods: Sequence[Cycle]) -> NDArray[np.float64]:
     """Return the mean measured force of both fingers in N; 0 without samples."""
     grip_n = _forces_n(periods).mean(axis=1)
-    known = grip_n[np.isfinite(grip_n)]
-    return known if known.size else np.zeros(1)
+    finite_n = grip_n[np.isfinite(grip_n)]
+    return finite_n if finite_n.size else np.zeros(1)
 
 
 def press_first(bench: Bench, dialog: Dialog, notes: Notes) -> None:
@@ -108,7 +108,7 @@ FIRST_FORCE = Step(press_first, "first_force", "First force", needs=("fingers", 
 
 def _proves_watchdog(config: CellConfig) -> bool:
     """Return whether the servos can make the slow motion of the watchdog's self-test."""
-    return all(one.servo_model.profile_in_current_mode for one in config.gripper_settings.servos)
+    return all(s.servo_model.profile_in_current_mode for s in config.gripper_settings.servos)
 
 
 def meets(config: CellConfig) -> bool:

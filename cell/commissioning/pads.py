@@ -176,18 +176,18 @@ def pressed_at(layout: TaxelLayout, force_n: NDArray[np.float64]) -> Patch | Non
     number = int(np.argmax(sums))
     if sums[number] < _PRESS_N:
         return None
-    pad, one = layout.pads[number], force_n[layout.taxels_of(number)]
+    pad, taxels_n = layout.pads[number], force_n[layout.taxels_of(number)]
     half_m = 0.5 * np.array([pad.rows * pad.pitch_x_m, pad.columns * pad.pitch_y_m])
-    along, across = (one @ pad.taxel_xy_m() / sums[number] / half_m).tolist()
+    along, across = (taxels_n @ pad.taxel_xy_m() / sums[number] / half_m).tolist()
     return Patch(pad=number, along=along, across=across, force_n=sums[number])
 
 
 def corner_text(layout: TaxelLayout, pad: int) -> str:
     """Return the corner of the last row and column of a pad as text, for a person facing it."""
-    one = layout.pads[pad]
+    geometry = layout.pads[pad]
     # Finger 1's frame is left-handed: left of finger 0 is right there.
-    side = "left" if one.finger == 0 else "right"
-    if abs(one.x_axis[0]) > 0.5:
+    side = "left" if geometry.finger == 0 else "right"
+    if abs(geometry.x_axis[0]) > 0.5:
         return f"near the tip and at the {side} edge, as you look at it with the tip upwards"
     return (
         f"at the edge towards the other finger and on the {side}, as you look at the inner face "
@@ -261,7 +261,7 @@ def find_mounting(bench: Bench, dialog: Dialog, notes: Notes) -> None:
             "The inner pads have different mountings, so the force comes from whole frames, which "
             "is slower: turn one pad, or set gripper.approach_speed_mm_s to 12."
         )
-    for pad in (one for one in range(layout.n_pads) if one not in patches):
+    for pad in (pad for pad in range(layout.n_pads) if pad not in patches):
         (notes.fail if pad in grip else notes.warn)(
             f"{names[pad]} was not found: no other pad of its size showed a patch. Check its plug "
             "and cable."
@@ -514,15 +514,15 @@ def judge_law(
     both = [load for of_finger in loads for load in of_finger if load[0] >= _LEAST_LOAD_N]
     where = "No law can be found; press on the middle of each pad"
     with raised_as(StepFailed, ValueError, where=where):
-        *fits, (factor, residual_n) = (fit_factor(one) for one in (*loads, both))
-    notes.values |= {"loads_n": [[*map(list, one)] for one in loads], "factor": factor}
+        *fits, (factor, residual_n) = (fit_factor(series) for series in (*loads, both))
+    notes.values |= {"loads_n": [[*map(list, series)] for series in loads], "factor": factor}
     notes.fact(
         f"{len(both)} loads up to {max(both)[0]:.1f} N: the pads show "
         f"{1.0 / factor:.0%} of the scale's force, residual {residual_n:.2f} N."
     )
     bent = any(
-        of_finger_n > _RESIDUAL_SHARE * max(one)[0]
-        for one, (_, of_finger_n) in zip(loads, fits, strict=True)
+        of_finger_n > _RESIDUAL_SHARE * max(series)[0]
+        for series, (_, of_finger_n) in zip(loads, fits, strict=True)
     )
     (first, _), (second, _) = fits
     differ = abs(first - second) / factor > _FINGERS_APART
@@ -557,8 +557,8 @@ def _set_table(
     loads: Sequence[Sequence[Load]], gains: Sequence[float], adc_max: int, notes: Notes
 ) -> bool:
     """Set the table of the loads, and return whether they lie on it."""
-    true_n = [load[0] / gain for one, gain in zip(loads, gains, strict=True) for load in one]
-    parts = [load[2:] for one in loads for load in one]
+    true_n = [load[0] / gain for series, gain in zip(loads, gains, strict=True) for load in series]
+    parts = [load[2:] for series in loads for load in series]
     try:
         counts, force_n, residual_n = fit_table(true_n, parts, adc_max)
     except ValueError:

@@ -28,7 +28,7 @@ def find_port(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     notes.fact(f"servo port: {port}")
     if Path(port).exists():
         checks = check_port("gripper.port", port)
-        notes.findings += [one for one in checks if one.verdict is not Verdict.PASS]
+        notes.findings += [finding for finding in checks if finding.verdict is not Verdict.PASS]
     else:
         bench.lines.open_serial(port, 57600).close()
 
@@ -151,8 +151,8 @@ def _sent_to_by_modem_manager(port: str) -> bool:
         return False
     properties = _ROOT / f"run/udev/data/c{(usb / 'dev').read_text('ascii').strip()}"
     # A container may have no list of devices.
-    known = properties.read_text("utf-8") if properties.is_file() else ""
-    return "ID_MM_DEVICE_IGNORE=1" not in known
+    text = properties.read_text("utf-8") if properties.is_file() else ""
+    return "ID_MM_DEVICE_IGNORE=1" not in text
 
 
 def udev_rule() -> str:
@@ -204,11 +204,11 @@ def _usb_device(tty: Path) -> tuple[Path | None, dict[str, str]]:
     def read(folder: Path, name: str) -> str:
         return (folder / name).read_text("utf-8").strip()
 
-    usb = next((one for one in folders if (one / "idVendor").is_file()), None)
+    usb = next((path for path in folders if (path / "idVendor").is_file()), None)
     if usb is None:
         return None, {}
     identity = {"ID_VENDOR_ID": read(usb, "idVendor"), "ID_MODEL_ID": read(usb, "idProduct")}
-    interface = next((one for one in folders if (one / "bInterfaceNumber").is_file()), None)
+    interface = next((path for path in folders if (path / "bInterfaceNumber").is_file()), None)
     if interface is not None:
         identity["ID_USB_INTERFACE_NUM"] = read(interface, "bInterfaceNumber")
     if (usb / "serial").is_file():

@@ -102,7 +102,7 @@ def find_unit(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         _find_boards(bench, dialog, notes)
         return
     interface, channel = _interface(bench, dialog)
-    bitrate, heard, how = _bit_rate(bench, dialog, interface, channel)
+    bitrate, traffic, how = _bit_rate(bench, dialog, interface, channel)
     notes.fact(f"Bit rate {bitrate:,} bit/s on {channel} ({interface}), found by {how}.")
     notes.settings |= {
         "tactile.interface": interface,
@@ -113,7 +113,7 @@ def find_unit(bench: Bench, dialog: Dialog, notes: Notes) -> None:
         "tactile.mounting": [],
     }
     with bench.can_bus(interface, channel, bitrate) as bus:
-        node_id = _node(bus, heard, dialog, notes)
+        node_id = _node(bus, traffic, dialog, notes)
         with objects_of(bus, node_id) as objects:
             identity = _judge_identity(objects, node_id, notes)
             layout = _judge_layout(objects, bench, notes)
@@ -211,8 +211,8 @@ def _system_bit_rates() -> dict[str, int | None]:
     """
     command = ["ip", "-details", "-json", "link", "show"]
     try:
-        shown = subprocess.run(command, capture_output=True, text=True, check=True, timeout=2.0)
-        links = [link for link in json.loads(shown.stdout) if link.get("link_type") == "can"]
+        listing = subprocess.run(command, capture_output=True, text=True, check=True, timeout=2.0)
+        links = [link for link in json.loads(listing.stdout) if link.get("link_type") == "can"]
         infos = {link["ifname"]: link.get("linkinfo", {}).get("info_data", {}) for link in links}
         return {name: info.get("bittiming", {}).get("bitrate") for name, info in infos.items()}
     except (OSError, subprocess.SubprocessError, ValueError, LookupError):
@@ -228,18 +228,18 @@ def _bit_rate(
     refused: dict[int, BusNotOpened] = {}
     errors = 0
     for how in ("listening", "asking each node-ID"):
-        for rate in (one for one in rates if one not in refused):
+        for rate in (rate for rate in rates if rate not in refused):
             dialog.live("bit rate", f"{rate:,} bit/s, {how}")
             try:
                 with bench.can_bus(interface, channel, rate) as bus:
-                    heard = listen(bus, _LISTEN_S) if how == "listening" else scan_nodes(bus)
+                    traffic = listen(bus, _LISTEN_S) if how == "listening" else scan_nodes(bus)
             except BusNotOpened as error:
                 # Not every adapter has every bit rate.
                 refused[rate] = error
                 continue
-            errors += heard.errors
-            if heard.messages:
-                return rate, heard, how
+            errors += traffic.errors
+            if traffic.messages:
+                return rate, traffic, how
     if len(refused) == len(rates):
         raise refused[rates[0]]
     tried = ", ".join(f"{rate:,}" for rate in rates if rate not in refused)
@@ -252,11 +252,11 @@ def _bit_rate(
     )
 
 
-def _node(bus: CanBus, heard: BusTraffic, dialog: Dialog, notes: Notes) -> int:
+def _node(bus: CanBus, traffic: BusTraffic, dialog: Dialog, notes: Notes) -> int:
     """Return the node-ID of the control unit among the nodes on the bus."""
     wanted = (VENDOR_ID, PRODUCT_CODE)
     units, others = [], []
-    for node in sorted({*heard.nodes, *scan_nodes(bus).nodes}):
+    for node in sorted({*traffic.nodes, *scan_nodes(bus).nodes}):
         try:
             with objects_of(bus, node) as objects:
                 vendor, product = (objects[f"Identity object.{name}"].raw for name in _KIND)
@@ -270,9 +270,9 @@ def _node(bus: CanBus, heard: BusTraffic, dialog: Dialog, notes: Notes) -> int:
                 f"node {node} is another device: vendor {vendor:#x}, product {product:#x}"
             )
     if not units:
-        there = "; ".join(others) or f"{heard.messages} messages were received and no node answers"
+        text = "; ".join(others) or f"{traffic.messages} messages were received and no node answers"
         raise StepFailed(
-            f"No control unit is on the bus: {there}. It has vendor {wanted[0]:#x}, product "
+            f"No control unit is on the bus: {text}. It has vendor {wanted[0]:#x}, product "
             f"{wanted[1]:#x} (object 1018h): check the device, its supply and its firmware."
         )
     for other in others:

@@ -128,7 +128,7 @@ def _comment(text: str, indent: str) -> Iterator[str]:
 def _meaning(key: FieldInfo) -> str:
     """Return the description of a key, with its choices if it has any."""
     text = " ".join((key.description or "").split())
-    kinds = [_kind_of(one) for one in sections_in(key.annotation)]
+    kinds = [_kind_of(section) for section in sections_in(key.annotation)]
     choices = kinds if len(kinds) > 1 else _choices(key)
     unnamed = [choice for choice in choices if not re.search(rf"\b{re.escape(choice)}\b", text)]
     return f"{text} One of: {', '.join(choices)}." if unnamed and len(choices) > 1 else text
@@ -316,7 +316,7 @@ def _section_at(way: Sequence[int | str], section: type[BaseModel]) -> type[Base
         if step in section.model_fields:
             inner = sections_in(section.model_fields[str(step)].annotation)
         else:
-            named = [one for one in inner if step in (one.__name__, _kind_of(one))]
+            named = [model for model in inner if step in (model.__name__, _kind_of(model))]
             inner = named or inner
         section = inner[0] if inner else section
     return section

@@ -317,7 +317,7 @@ class CellConfig(Section):
             for axis in self.positioner.axes
             if isinstance(axis, ServoAxisConfig)
         ]
-        return [one for one in ports if one[2] != SIMULATED]
+        return [port for port in ports if port[2] != SIMULATED]
 
     @property
     def decides_early(self) -> bool:

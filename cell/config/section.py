@@ -87,7 +87,7 @@ def setting_of(
     number
         Type of the key if it differs from that of the setting: int for whole ms.
     """
-    setting = next(one for one in fields(owner) if one.name == name)
+    setting = next(field for field in fields(owner) if field.name == name)
     default: Any = setting.default
     kind, limits = number or type(default), setting.metadata
 

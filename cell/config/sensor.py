@@ -77,7 +77,7 @@ class SensorConfig(Section):
     ) -> dict[str, Any]:
         if cls is not SensorConfig:
             return handler(schema)
-        return {"oneOf": [handler(one.__pydantic_core_schema__) for one in cls.kinds()]}
+        return {"oneOf": [handler(kind.__pydantic_core_schema__) for kind in cls.kinds()]}
 
     @property
     def serial_ports(self) -> tuple[str, ...]:

@@ -122,11 +122,11 @@ class Journal:
             "n_ended_early": answer.n_ended_early,
             "grasp_answers": [
                 {
-                    "probabilities": one.probability.tolist(),
-                    "unknown": float(one.unknown),
-                    "dependence": float(one.dependence),
+                    "probabilities": posterior.probability.tolist(),
+                    "unknown": float(posterior.unknown),
+                    "dependence": float(posterior.dependence),
                 }
-                for one in answer.posteriors
+                for posterior in answer.posteriors
             ],
         }
         if self.brought:

@@ -99,7 +99,7 @@ def compared(now: HeldPart, then: HeldPart) -> Verification:
 
 
 def _likeness(first: HeldPart, second: HeldPart) -> float:
-    squares = [float(one.footprint @ one.footprint) - one.noise for one in (first, second)]
+    squares = [float(part.footprint @ part.footprint) - part.noise for part in (first, second)]
     if min(squares) <= 0.0:
         return 0.0
     return float(first.footprint @ second.footprint) / math.sqrt(squares[0] * squares[1])

@@ -253,8 +253,8 @@ class CellLifecycle:
         except BaseException as error:
             # A latched servo error needs other steps than the fault before it.
             if self.fault is None or isinstance(error, ServoFault):
-                known, _, first = (self.fault or "").partition(" (first: ")
-                first = first.removesuffix(")") or known
+                newest, _, first = (self.fault or "").partition(" (first: ")
+                first = first.removesuffix(")") or newest
                 before = f" (first: {first})" if first else ""
                 self.latched = LatchedFault(error_text(error) + before, fault_number(error))
             self.go(Event.FAULT)

@@ -79,7 +79,7 @@ def stored_zeros(
         path=None if directory is None else zero_file(directory, config.name),
         hand=_hand_of(config),
         new_hand=config.simulated if new_hand is None else new_hand,
-        servos={one.id: {"port": port, "model": one.model} for one in config.gripper.servos},
+        servos={servo.id: {"port": port, "model": servo.model} for servo in config.gripper.servos},
     )
 
 

@@ -183,7 +183,7 @@ class LoopProcess:
         if code is None:
             self.lose("closed its connection but has not ended")
         if code < 0:
-            names = {one.value: one.name for one in signal.Signals}
+            names = {member.value: member.name for member in signal.Signals}
             self.lose(f"was ended by {names.get(-code, f'signal {-code}')}")
         self.lose(f"has ended with exit code {code}")
 

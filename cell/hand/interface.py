@@ -114,11 +114,11 @@ _Value = TypeVar("_Value", Cycle, ForceSample, TactileFrame)
 def live_values(latest: LatestValues, now_s: float) -> LiveValues:
     """Return the values of a hand at a monotonic time in s."""
 
-    def age_s(one: ForceSample | TactileFrame | None) -> float | None:
-        return None if one is None else max(0.0, now_s - one.t_s)
+    def age_s(sample: ForceSample | TactileFrame | None) -> float | None:
+        return None if sample is None else max(0.0, now_s - sample.t_s)
 
-    def fresh(one: _Value | None) -> _Value | None:
-        return None if one is None or now_s - one.t_s > FRESH_S else one
+    def fresh(value: _Value | None) -> _Value | None:
+        return None if value is None or now_s - value.t_s > FRESH_S else value
 
     cycle, force, frame = fresh(latest.cycle), fresh(latest.force), fresh(latest.frame)
     return LiveValues(

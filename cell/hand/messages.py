@@ -126,10 +126,10 @@ class _Pickler(pickle.Pickler):
         kind = type(value)
         if kind.__module__ not in _KNOWN:
             trace = "".join(traceback.format_exception(value))
-            known = next(base for base in kind.__mro__ if base.__module__ in _KNOWN)
+            ancestor = next(base for base in kind.__mro__ if base.__module__ in _KNOWN)
             text = f"{kind.__module__}.{kind.__name__}: {value}"
-            known = RuntimeError if known in (Exception, BaseException) else known
-            value = known.__new__(known, text)
+            ancestor = RuntimeError if ancestor in (Exception, BaseException) else ancestor
+            value = ancestor.__new__(ancestor, text)
             value.args = (text,)
             value.add_note(trace)
         args = value.args

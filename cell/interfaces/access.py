@@ -35,7 +35,7 @@ def may_connect(host: str, config: ServeConfig) -> bool:
     """Whether a host may connect: this machine, or a host of the allow-list."""
     address = _address(host)
     return address is not None and (
-        address.is_loopback or any(address in ip_network(one) for one in config.allow)
+        address.is_loopback or any(address in ip_network(network) for network in config.allow)
     )
 
 
@@ -176,17 +176,17 @@ class Listener(socket.socket):
     def accept(self) -> tuple[socket.socket, Any]:
         """Accept a connection and give it a place."""
         link, client = super().accept()
-        for gone in [at for at, one in self._places.items() if one.link.fileno() < 0]:
+        for gone in [at for at, place in self._places.items() if place.link.fileno() < 0]:
             del self._places[gone]
         if len(self._places) >= BUSY_MAX:
             crowd = Counter(host for host, _ in self._places)
-            rank = {at: (-crowd[at[0]], one.heard_s) for at, one in self._places.items()}
+            rank = {at: (-crowd[at[0]], place.heard_s) for at, place in self._places.items()}
             self._places.pop(min(rank, key=rank.__getitem__)).end()
         self._places[client[:2]] = _Place(link)
         self.expect(client, self._limit_s)
         return link, client
 
-    def heard(self, client: Sequence[Any] | None) -> None:
+    def note_request(self, client: Sequence[Any] | None) -> None:
         """Note a complete request of a client: its connection keeps its place longest."""
         if client is not None and (place := self._places.get((client[0], client[1]))) is not None:
             place.heard_s = time.monotonic()

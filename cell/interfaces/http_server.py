@@ -138,11 +138,11 @@ class HttpServer:
         async def watched() -> Any:
             message = await receive()
             if not message.get("more_body", False):
-                self._listener.heard(scope["client"])
+                self._listener.note_request(scope["client"])
             return message
 
         if scope["type"] == "websocket" or not length:
-            self._listener.heard(scope["client"])
+            self._listener.note_request(scope["client"])
         if refused is None:
             await self._application(scope, watched, send)
         elif scope["type"] == "websocket":
@@ -159,8 +159,8 @@ class HttpServer:
     def _refusal(self, scope: Scope, length: int | None) -> tuple[int, str, str] | None:
         """Return status, text and cause (of `REMEDIES`) of a refusal; None for no refusal."""
         hosts, origins = (
-            [value.decode("latin-1") for name, value in scope["headers"] if name == wanted]
-            for wanted in (b"host", b"origin")
+            [value.decode("latin-1") for name, value in scope["headers"] if name == header]
+            for header in (b"host", b"origin")
         )
         client, reached = scope.get("client"), scope.get("server")
         config = self._config
@@ -168,7 +168,7 @@ class HttpServer:
             return 403, "this client is not in serve.allow", "client"
         if not is_for_this_machine(hosts, reached[0], config):
             return 403, f"Host {', '.join(hosts)!r:.80} is not this machine", "host"
-        if not all(self._pages and self._is_own(one, hosts[0], scope) for one in origins):
+        if not all(self._pages and self._is_own(origin, hosts[0], scope) for origin in origins):
             text = f"the request comes from a page of another origin, {', '.join(origins)!r:.80}"
             return 403, text, "origin"
         if length is None:

@@ -102,7 +102,7 @@ def _free_bytes(service: Service) -> float | None:
     """Return the free bytes in the folder of the recording; None if the folder is gone."""
     place = service.plugin.recording_path or Path(service.config.recording.directory)
     try:
-        there = next(one for one in (place, *place.absolute().parents) if one.exists())
+        there = next(folder for folder in (place, *place.absolute().parents) if folder.exists())
         return shutil.disk_usage(there).free
     except OSError:
         return None

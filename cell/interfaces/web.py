@@ -352,7 +352,7 @@ class WebInterface(HttpServer):
             )
 
     def _may_read(self, token: str) -> bool:
-        return any(same_secret(token, one) for one in (self.token, self.view_token))
+        return any(same_secret(token, secret) for secret in (self.token, self.view_token))
 
     def access(self, request: Request) -> dict[str, Any]:
         """Return whether this token commands, and the view-only link for a second person.
@@ -398,7 +398,7 @@ class WebInterface(HttpServer):
         """
         offered = link.scope.get("subprotocols", [])
         chosen = _SUBPROTOCOL if _SUBPROTOCOL in offered else None
-        tokens = [one.removeprefix("token.") for one in offered if one.startswith("token.")]
+        tokens = [name.removeprefix("token.") for name in offered if name.startswith("token.")]
         tokens += link.query_params.getlist("token")
         if not any(map(self._may_read, tokens)):
             await link.close(1008, "wrong token")
@@ -463,7 +463,7 @@ class WebInterface(HttpServer):
 
     def faults(self) -> list[dict[str, Any]]:
         """List the fault catalogue: number, text, cause, remedy, state of the grip, steps."""
-        return [asdict(fault) for fault in sorted(CATALOGUE.values(), key=lambda one: one.number)]
+        return [asdict(fault) for fault in sorted(CATALOGUE.values(), key=lambda row: row.number)]
 
     def grasp(self, number: int) -> Mapping[str, Any]:
         """Return the curves of the last grasp of a part by its number in ``shift.answers``.

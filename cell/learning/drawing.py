@@ -180,7 +180,7 @@ class VirtualPads:
         """
         beds, course = self._beds[len(self._beds) // 2], self.course
         reached = [(reaches_m(drawing, step.pose, beds), step.pose) for step in steps]
-        reach_m, pose = min(reached, key=lambda one: sum(float(r.max()) for r in one[0]))
+        reach_m, pose = min(reached, key=lambda pair: sum(float(r.max()) for r in pair[0]))
         presses = [pressed_pad(bed, r, self.foam) for bed, r in zip(beds, reach_m, strict=True)]
         touch_m = sum(press.reach_max_m for press in presses)
         sinks_m = sum(np.interp(course.contact_n, p.force_n, p.depth_m) for p in presses)

@@ -58,7 +58,7 @@ def read_labelled_grasps(path: Path, note: Callable[[str], None]) -> tuple[Grasp
 def duplicate_grasps(grasps: Sequence[Grasp]) -> list[Grasp]:
     """Return the grasps that repeat an earlier one: same time, same frames."""
     seen: dict[tuple[int, int], Grasp] = {}
-    keys = [(one.start_ms, hash(one.counts.tobytes())) for one in grasps]
+    keys = [(grasp.start_ms, hash(grasp.counts.tobytes())) for grasp in grasps]
     pairs = zip(keys, grasps, strict=True)
     return [grasp for key, grasp in pairs if seen.setdefault(key, grasp) is not grasp]
 

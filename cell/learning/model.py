@@ -61,9 +61,9 @@ def _rehearse(recognizer: Recognizer, grasp: Grasp) -> None:
 
     A RecognitionError, with which a recognizer refuses the grasp itself, is no failure.
     """
-    for one in (grasp, replace(grasp, aperture_m=np.array(np.nan))):
+    for variant in (grasp, replace(grasp, aperture_m=np.array(np.nan))):
         with suppress(RecognitionError):
-            posterior = recognizer.posterior(one)
+            posterior = recognizer.posterior(variant)
             if not np.all(np.isfinite([*posterior.probability, posterior.unknown])):
                 raise ValueError("its probabilities are not finite")
 

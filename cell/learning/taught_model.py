@@ -172,13 +172,13 @@ class TaughtModel:
         Objects with too few grasps are left out, except the ``needed`` one, and returned. Raises
         CellError if there are too few grasps for any training; they are kept.
         """
-        wanted, grid = self.config.recognition, self.drift
+        settings, grid = self.config.recognition, self.drift
         few = self._too_few(needed)
         grasps = [grasp for grasp in self.training_set if grasp.label not in few]
         try:
             trained = train(
-                grasps or self.training_set, wanted.recognizer, use_aperture=wanted.use_aperture
-            ).with_caution(wanted.caution)
+                grasps or self.training_set, settings.recognizer, use_aperture=settings.use_aperture
+            ).with_caution(settings.caution)
         except CellError as error:
             raise CellError(f"{error}; the grasps are kept for the next teaching") from error
         if grid is not None and isinstance(trained.recognizer, DriftFollowing):
@@ -219,8 +219,8 @@ class TaughtModel:
 
     def told_apart(self, label: str) -> ToldApart:
         """Return how well a taught object differs from the others; runs two small trainings."""
-        wanted = self.config.recognition
-        trainer = RECOGNIZERS[wanted.recognizer](use_aperture=wanted.use_aperture)
+        settings = self.config.recognition
+        trainer = RECOGNIZERS[settings.recognizer](use_aperture=settings.use_aperture)
         grasps = [grasp for grasp in self.training_set if grasp.label in self.labels]
         return told_apart(grasps, label, trainer)
 
@@ -248,8 +248,8 @@ class TaughtModel:
     def read_shapes(self) -> None:
         """Read the missing shapes of `objects`: some tenths of a second for each."""
         for label, grasp in self._unread.items():
-            newest = [one for one in self.training_set if one.label == label][-_N_SHAPES:]
-            shapes = [shape for one in newest if (shape := self.shape_of(one))]
+            newest = [g for g in self.training_set if g.label == label][-_N_SHAPES:]
+            shapes = [shape for g in newest if (shape := self.shape_of(g))]
             self._shapes[label] = grasp, fuse_shapes(shapes) if shapes else None
             self._n_read += 1
 

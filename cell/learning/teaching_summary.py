@@ -95,12 +95,12 @@ def zero_note(grasps: Sequence[Grasp]) -> str:
 
 
 def _opening_note(members: Mapping[str, Sequence[Grasp]]) -> str:
-    known = {
+    counts = {
         label: sum(bool(np.isfinite(grasp.aperture_m).any()) for grasp in group)
         for label, group in members.items()
     }
-    few = [label for label, n in known.items() if n < _OPENING_GRASPS]
-    if len(few) in (0, len(known)):
+    few = [label for label, n in counts.items() if n < _OPENING_GRASPS]
+    if len(few) in (0, len(counts)):
         return ""
     return (
         f"{_first(few)}: fewer than {_OPENING_GRASPS} grasps with a known opening, so the model "
@@ -142,9 +142,9 @@ def told_apart(grasps: Sequence[Grasp], label: str, trainer: Trainer) -> ToldApa
         return none
 
     def likeness(name: str) -> float:
-        return sum(float(one.probability[one.labels.index(name)]) for one in answers)
+        return sum(float(answer.probability[answer.labels.index(name)]) for answer in answers)
 
     return ToldApart(
         nearest=max(others, key=likeness),
-        mistaken_share=sum(one.best != label for one in answers) / len(answers),
+        mistaken_share=sum(answer.best != label for answer in answers) / len(answers),
     )

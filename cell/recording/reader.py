@@ -346,14 +346,14 @@ def _rows(data: bytearray, kind: np.dtype[Any]) -> Rows:
 
 def _grasp(row: dict[str, Any], pads: PadArray, frames: Rows, part: slice) -> Grasp:
     """Return a grasp of these frames. Raises ValueError if it is refused."""
-    known = ("label", "shape", "source", "start_ms", "aperture_m", "force_n")
+    names = ("label", "shape", "source", "start_ms", "aperture_m", "force_n")
     t_s = frames.t_s[part] - frames.t_s[part.start]
     check_times(t_s, np.array([0, len(t_s)]))
     return Grasp(
         pads=pads,
         counts=frames.counts[part].copy(),
         t_s=t_s,
-        **{name: row[name] for name in known if name in row},
+        **{name: row[name] for name in names if name in row},
         command=GraspCommand.from_values(row["command"]) if "command" in row else None,
         zero=SelfZero.from_values(row["zero"]) if "zero" in row else None,
     )

@@ -75,7 +75,7 @@ class ConfusionTable:
     def without_empty(self) -> "ConfusionTable":
         """Return it without answers that are no label and were never given."""
         used = self.counts.any(axis=0) | np.isin(self.columns, self.labels)
-        columns = tuple(c for c, one in zip(self.columns, used, strict=True) if one)
+        columns = tuple(c for c, is_used in zip(self.columns, used, strict=True) if is_used)
         return replace(self, columns=columns, counts=self.counts[:, used])
 
 
@@ -111,7 +111,7 @@ def score_tables(
     truths, answers, first = zip(*trials, strict=True)
     scores = {default: score("This cell, all grasps", truths, answers, labels)}
     for name in first[0]:
-        posteriors = [one[name] for one in first]
+        posteriors = [by_name[name] for by_name in first]
         named = [p.best if name == BASELINE else p.name for p in posteriors]
         key = f"{name}_one_grasp" if name == default else name
         whose = "This cell" if name == default else "The paper's method"

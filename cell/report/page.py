@@ -200,8 +200,8 @@ def pad_svg(
         Text for screen readers.
     """
     steps = [np.diff(np.unique(places.round(3))).min(initial=np.inf) for places in xy_mm.T]
-    known = [step for step in steps if np.isfinite(step)] or [1.0]
-    pitch = np.array([step if np.isfinite(step) else known[0] for step in steps])
+    finite = [step for step in steps if np.isfinite(step)] or [1.0]
+    pitch = np.array([step if np.isfinite(step) else finite[0] for step in steps])
     low = xy_mm.min(axis=0) - 0.5 * pitch
     width, height = np.ptp(xy_mm, axis=0) + pitch
     shades = np.clip(np.ceil(values / full * N_SHADES), 0, N_SHADES).astype(int)

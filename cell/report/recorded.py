@@ -130,16 +130,16 @@ def _page(recording: Recording) -> Page:
     answers = list(answers_of(recording, config))
     taught = [grasp for grasp in recording.grasps if grasp.label]
     paper = paper_table()
-    tables = [paper] if {one.held for one in answers} == set(paper.labels) else []
+    tables = [paper] if {answer.held for answer in answers} == set(paper.labels) else []
     named = [table.labels for table in tables] + [(o.held, o.label) for o in answers if o.held]
-    named += [one.fused.labels for one in answers]
+    named += [answer.fused.labels for answer in answers]
     labels = tuple(dict.fromkeys(name for some in named for name in some if name != UNKNOWN))
     recognizer = config.recognition.recognizer if config else "cell"
     scores = _scores(answers, taught, recognizer, labels)
     tables += scores.values()
     drawn = drawn_answers(answers)
     sizes = true_sizes(config) if config else {}
-    shapes = shapes_view([(one.held, one.label, one.shape) for one in answers], sizes)
+    shapes = shapes_view([(answer.held, answer.label, answer.shape) for answer in answers], sizes)
     name = config.name if config else recording.metadata.get("cell", "recorded cell")
     started = datetime.fromtimestamp(1e-9 * recording.wall_clock_start_ns)
     loop_s = recording.cycles.t_s
@@ -149,7 +149,7 @@ def _page(recording: Recording) -> Page:
         for label, i in _examples(recording, answers)
     ]
     sections: dict[str, dict[str, Any]] = {
-        "result": {"title": "Confusion", "tables": [one.without_empty() for one in tables]},
+        "result": {"title": "Confusion", "tables": [table.without_empty() for table in tables]},
         "shapes": {"title": "Shape and size", "shapes": shapes},
         "sequences": {
             "title": "Identifications",
@@ -202,7 +202,7 @@ def answers_of(recording: Recording, config: CellConfig | None) -> Iterator[Answ
             held=row.get("held", ""),
             label=row["label"],
             fused=_posterior(labels, row),
-            posteriors=tuple(_posterior(labels, one) for one in row.get("grasp_answers", ())),
+            posteriors=tuple(_posterior(labels, values) for values in row.get("grasp_answers", ())),
             n_grasps=row["n_grasps"],
             whole_ramps=not row.get("n_ended_early"),
             grasps=tuple(recording.grasps[i] for i in counted),
@@ -230,7 +230,7 @@ def _shape(row: Mapping[str, Any]) -> ShapeAnswer:
         **{name: row[name] for name in ("size_m", "low_m", "high_m")},
         dimensions_m=row.get("dimensions_m", {}),
         misfit=nan,
-        thicknesses=tuple(Thickness(**one) for one in row["thicknesses"]),
+        thicknesses=tuple(Thickness(**values) for values in row["thicknesses"]),
     )
 
 
@@ -259,15 +259,15 @@ def _scores(
         baseline = train(taught, BASELINE).recognizer if taught else None
     except CellError:  # too few grasps
         baseline = None
-    known = [one for one in answers if one.held]
-    first = all(one.posteriors and one.grasps for one in known)
-    compared = first and default != BASELINE and all(one.whole_ramps for one in known)
+    known = [answer for answer in answers if answer.held]
+    first = all(answer.posteriors and answer.grasps for answer in known)
+    compared = first and default != BASELINE and all(answer.whole_ramps for answer in known)
     trials = []
-    for one in known:
-        posteriors = {default: one.posteriors[0]} if first else {}
+    for answer in known:
+        posteriors = {default: answer.posteriors[0]} if first else {}
         if compared and baseline is not None:
-            posteriors[BASELINE] = baseline.posterior(one.grasps[0])
-        trials.append((one.truth, one.label, posteriors))
+            posteriors[BASELINE] = baseline.posterior(answer.grasps[0])
+        trials.append((answer.truth, answer.label, posteriors))
     named = {label for truth, label, _ in trials for label in (truth, label)}
     rows = [label for label in labels if label in named and label != UNKNOWN]
     untaught = [UNKNOWN] if any(truth == UNKNOWN for truth, *_ in trials) else []
@@ -280,22 +280,22 @@ def drawn_answers(answers: list[Answered]) -> list[Answered]:
     They are the most useful ones for a reader; the tables count all.
     """
     drawn = []
-    for name in dict.fromkeys(one.name for one in answers):
-        named = [one for one in answers if one.name == name]
-        named.sort(key=lambda one: (one.verdict == "right", -one.n_grasps))
+    for name in dict.fromkeys(answer.name for answer in answers):
+        named = [answer for answer in answers if answer.name == name]
+        named.sort(key=lambda answer: (answer.verdict == "right", -answer.n_grasps))
         drawn += named[:_SEQUENCES_PER_OBJECT]
     return drawn[:MAX_SEQUENCES]
 
 
 def _examples(recording: Recording, answers: list[Answered]) -> list[tuple[str, int]]:
     """Return name and number of the strongest grasp of each object, of taught ones if there are."""
-    named = {id(grasp): one.name for one in answers for grasp in one.grasps}
+    named = {id(grasp): answer.name for answer in answers for grasp in answer.grasps}
     examples: dict[str, int] = {}
     grasps = [(i, grasp) for i, grasp in enumerate(recording.grasps) if grasp.commanded]
-    for i, grasp in sorted(grasps, key=lambda one: (bool(one[1].label), _force_n(one[1]))):
+    for i, grasp in sorted(grasps, key=lambda pair: (bool(pair[1].label), _force_n(pair[1]))):
         if name := grasp.label or named.get(id(grasp)):
             examples[name] = i  # the last one stays
-    return sorted(examples.items(), key=lambda one: one[1])
+    return sorted(examples.items(), key=lambda example: example[1])
 
 
 def _grasp_view(recording: Recording, label: str, number: int) -> dict[str, Any]:
@@ -350,13 +350,13 @@ def _tiles(
         return [(str(n_taught), "grasps taught", "")]
     captions = ("right", "right with one grasp", "right by the paper's method")
     tiles = [
-        (percent(one.accuracy), caption, f"{one.n_right} of {one.n}")
-        for one, caption in zip(scores.values(), captions, strict=False)
+        (percent(table.accuracy), caption, f"{table.n_right} of {table.n}")
+        for table, caption in zip(scores.values(), captions, strict=False)
     ]
     if not tiles:
-        n_named = sum(one.label != UNKNOWN for one in answers)
+        n_named = sum(answer.label != UNKNOWN for answer in answers)
         tiles.append((f"{n_named} of {len(answers)}", "with a name", ""))
-    per_answer = np.mean([one.n_grasps for one in answers])
+    per_answer = np.mean([answer.n_grasps for answer in answers])
     return [*tiles, (f"{per_answer:.1f}", "grasps for each part", "")]
 
 

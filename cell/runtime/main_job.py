@@ -117,7 +117,7 @@ def teach_and_identify(
             seed = _seed(config, 1 + repeat, number)
             parts.append(plugin.run(IdentifyGoal(present=label, seed=seed, whole_ramps=True)))
             first = trials[-1].records[0].grasp
-            others = {name: one.posterior(first) for name, one in recognizers.items()}
+            others = {name: recognizer.posterior(first) for name, recognizer in recognizers.items()}
             firsts.append({default: trials[-1].posteriors[0]} | others)
             progress(f"identify {label}", repeat + 1, n_trials)
     return MainResult(
@@ -126,7 +126,7 @@ def teach_and_identify(
         n_taught=len(plugin.model.training_set),
         seconds=round(time.monotonic() - started_s, 2),
         scores=score_tables(
-            [(one.presented, one.label, first) for one, first in zip(parts, firsts, strict=True)],
+            [(p.presented, p.label, first) for p, first in zip(parts, firsts, strict=True)],
             labels,
             default,
         ),

@@ -120,18 +120,18 @@ class TaxelNewtons:
         cycles = record.cycles
         at = np.unique(np.linspace(0, len(cycles) - 1, _POINTS_MAX).round().astype(int))
         # By newtons: the noise of all taxels hides a light touch in the sum of the counts.
-        frames_n = [one for counts in record.grasp.counts if (one := self.of(counts)) is not None]
+        frames_n = [load for counts in record.grasp.counts if (load := self.of(counts)) is not None]
         frame_n = max(frames_n, key=np.sum, default=None)
 
         def column(values: list[float]) -> list[float | None]:
             return [round(values[n], 3) if np.isfinite(values[n]) else None for n in at]
 
         return {
-            "t_s": column([one.t_s - cycles[0].t_s for one in cycles]),
+            "t_s": column([cycle.t_s - cycles[0].t_s for cycle in cycles]),
             "force_n": column(
-                [np.nan if one.force is None else one.force.grip_n for one in cycles]
+                [np.nan if cycle.force is None else cycle.force.grip_n for cycle in cycles]
             ),
-            "setpoint_n": column([one.setpoint_n for one in cycles]),
-            "opening_mm": column([1e3 * one.state.aperture_m for one in cycles]),
-            "frame": None if frame_n is None else [round(float(one), 3) for one in frame_n],
+            "setpoint_n": column([cycle.setpoint_n for cycle in cycles]),
+            "opening_mm": column([1e3 * cycle.state.aperture_m for cycle in cycles]),
+            "frame": None if frame_n is None else [round(float(taxel_n), 3) for taxel_n in frame_n],
         }

@@ -482,7 +482,7 @@ class Tasks:
 
         progress()
         for turn in range(goal.parts):
-            one = IdentifyGoal(
+            part_goal = IdentifyGoal(
                 max_grasps=goal.max_grasps,
                 seed=(goal.plan_seed(report.number) + turn) % 2**32,
                 present=feed[turn % len(feed)] if feed else None,
@@ -490,7 +490,7 @@ class Tasks:
                 force_n=goal.force_n,
             )
             try:
-                identification, remark = self.named(one)
+                identification, remark = self.named(part_goal)
             except NoPartFound:
                 answer.n_missed += 1
                 misses += 1

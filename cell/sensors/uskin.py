@@ -61,7 +61,7 @@ class UskinConfig(SensorConfig):
         return self.zero_frames
 
     def _ids(self) -> list[messages.BoardIds]:
-        return [messages.BoardIds(start=one.start, taxels=one.taxels) for one in self.boards]
+        return [messages.BoardIds(start=board.start, taxels=board.taxels) for board in self.boards]
 
     def check(self, _tactile: TactileConfig, layout: TaxelLayout) -> None:
         """Raise LayoutError where a layout has other pads than the boards' taxels."""
@@ -85,6 +85,6 @@ class UskinConfig(SensorConfig):
         from simulator.boards.uskin import UskinBoard, UskinSettings
 
         first, second = (
-            UskinBoard(start_id=one.start, taxel_ids=one.taxels) for one in self.boards
+            UskinBoard(start_id=board.start, taxel_ids=board.taxels) for board in self.boards
         )
         return UskinSettings(boards=(first, second), falling=self.falling)

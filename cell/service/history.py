@@ -109,7 +109,7 @@ class Shift:
             self._n_missed += sum(row["kind"] == "miss" for row in rows)
             self._faults_before -= sum(row["kind"] == "fault" for row in rows)
             own_s, self._times_s = self._times_s, deque()
-            for row in (one for one in rows if one["kind"] == "part"):
+            for row in (row for row in rows if row["kind"] == "part"):
                 self._count(row["label"], bool(row["rejected"]), row["seconds"], row["time_s"])
             self._times_s += own_s
 

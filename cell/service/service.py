@@ -426,15 +426,15 @@ class Service:
     def held_by(self) -> tuple[str, ...]:
         """Names of the clients that keep the cell stopped; clients that are gone are marked."""
         with self._lock:
-            every = self._stops.values()
-            return tuple(f"{one.name} (gone)" if self._is_gone(one) else one.name for one in every)
+            stops = self._stops.values()
+            return tuple(f"{s.name} (gone)" if self._is_gone(s) else s.name for s in stops)
 
     def stop_as(self, name: str, latch: bool | None) -> None:
         """Stop for a client without a connection: True begins, False ends, None stops once.
 
         A name may have any characters: a stop is never refused.
         """
-        name = "".join(one if one.isprintable() else "?" for one in name)
+        name = "".join(sign if sign.isprintable() else "?" for sign in name)
         if latch is None:
             self.stop(f"by {name}")
         elif latch:
@@ -452,7 +452,7 @@ class Service:
         Raises RequestRefused if too many clients stop the cell; the running job is stopped anyway.
         """
         with self._lock:
-            for left in [k for k, one in self._stops.items() if one.name == name and k != client]:
+            for left in [k for k, stop in self._stops.items() if stop.name == name and k != client]:
                 if self._is_gone(self._stops[left]):
                     del self._stops[left]
             if room := client in self._stops or len(self._stops) < _STOPS_MAX:
@@ -630,7 +630,7 @@ def state_values(service: Service) -> dict[str, Any]:
     state: dict[str, Any] = plain_data(
         {
             "time_s": time.time(),
-            "status": {one.name: getattr(now.status, one.name) for one in fields(CellStatus)},
+            "status": {field.name: getattr(now.status, field.name) for field in fields(CellStatus)},
             "last_answer": now.status.last_answer,
             "live": {name: getattr(live, name) for name in live.__slots__ if name != "counts"},
             **{name: getattr(now, name) for name in _STATUS_VALUES},

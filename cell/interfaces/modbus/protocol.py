@@ -148,7 +148,7 @@ class ModbusServer:
                 asyncio.IncompleteReadError, TimeoutError, OSError, asyncio.CancelledError
             ):
                 while await self._one_request(reader, writer, registers):
-                    self._listener.heard(peer)
+                    self._listener.note_request(peer)
         finally:
             registers.disconnected()
             writer.transport.abort()

@@ -378,8 +378,8 @@ class ModbusInterface(ModbusServer):
                     given = {field: _field(service, asked, field) for field in fields}
                     service.request(self._lease, name, **given)
                 case _:
-                    known = sorted((4, 40, 41, *_COMMANDS))
-                    raise RequestRefused(f"command {number} is not one of {known}")
+                    numbers = sorted((4, 40, 41, *_COMMANDS))
+                    raise RequestRefused(f"command {number} is not one of {numbers}")
         except Exception as error:
             return Refusal.of(error)
         return Refusal()

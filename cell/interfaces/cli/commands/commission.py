@@ -251,13 +251,13 @@ def commission(
                 for line in lines:
                     print_line(line)
                 return
-            found = {key: bench.settings.get(key, value) for key, value in given.items()}
-            other = [key for key in given if realpath(found[key]) != realpath(given[key])]
+            current = {key: bench.settings.get(key, value) for key, value in given.items()}
+            other = [key for key in given if realpath(current[key]) != realpath(given[key])]
             steps = ["ports" if key == "gripper.port" else "unit" for key in other]
             if keys := [*steps, *(redo or ())]:
                 print_line(f"steps to repeat: {', '.join(engine.affected(*keys))}")
                 for key in other:
-                    text = f"{key} was {found[key]}, now {given[key]} is named."
+                    text = f"{key} was {current[key]}, now {given[key]} is named."
                     dialog.confirm(key, f"{text} Forget what these steps have found?", "forget it")
                 engine.redo(*keys)
             files = engine.run(dialog)

@@ -46,11 +46,11 @@ def doctor(
 def _list_plugins(json_file: Path | None) -> None:
     """Print each plugin, its package, and the reason if it does not load."""
     plugins = [plugin for group in GROUPS for plugin in group.examine()]
-    states = [f"FAIL  {one.problem}" if one.problem else "loads" for one in plugins]
+    states = [f"FAIL  {plugin.problem}" if plugin.problem else "loads" for plugin in plugins]
     lines = [
-        f"{one.group:<12} {one.name:<18} {one.package:<20} {state}"
-        for one, state in zip(plugins, states, strict=True)
+        f"{plugin.group:<12} {plugin.name:<18} {plugin.package:<20} {state}"
+        for plugin, state in zip(plugins, states, strict=True)
     ]
     show(lines, {"plugins": plugins}, json_file)
-    if failed := sum(bool(one.problem) for one in plugins):
+    if failed := sum(bool(plugin.problem) for plugin in plugins):
         raise CellError(f"{failed} of {len(plugins)} plugins do not load")

@@ -138,7 +138,7 @@ def _identify_recorded(
             "shape": shape and shape.as_dict(),
         }
         rows.append(values if drift is None else values | {"drift": drift.values})
-    _, (*_, last) = max(zip(recorded, answers, strict=True), key=lambda one: one[0].start_ms)
+    _, (*_, last) = max(zip(recorded, answers, strict=True), key=lambda pair: pair[0].start_ms)
     if last is not None and last.likely:
         lines.append(f"the sensors have drifted since teaching: {drift_text(last.drift)}")
     show(lines, {"answers": rows}, json_file)

@@ -127,7 +127,7 @@ def calibrate(
         loaded = load_model(model)
         recorded = list(read_grasps(dataset))
         if gauge:
-            newest, n_all = max(recorded, key=lambda one: one.start_ms).zero, len(recorded)
+            newest, n_all = max(recorded, key=lambda grasp: grasp.start_ms).zero, len(recorded)
             recorded = [grasp for grasp in recorded if grasp.zero == newest]
             if n_left := n_all - len(recorded):
                 print_note(f"{dataset}: {n_left} grasps before the newest self-zero are left out")
@@ -274,14 +274,14 @@ def _lines(result: EvaluationResult) -> Iterator[str | Table]:
         rows = [(name, figures.full)]
         if figures.without_aperture != figures.full:
             rows.append(("  tactile only", figures.without_aperture))
-        for title, one in rows:
-            named = (one.named_right, one.named_wrong, 1.0 - one.named_right - one.named_wrong)
+        for title, test in rows:
+            named = (test.named_right, test.named_wrong, 1.0 - test.named_right - test.named_wrong)
             table.add_row(
                 title,
-                _with_interval(one.single_accuracy, one.interval),
-                *(_with_interval(one.fused_accuracy[k], one.fused_interval[k]) for k in fused),
+                _with_interval(test.single_accuracy, test.interval),
+                *(_with_interval(test.fused_accuracy[k], test.fused_interval[k]) for k in fused),
                 *(f"{100 * share:.1f}" for share in named),
-                _with_interval(one.unknown_auroc, one.auroc_interval, 1.0, 3),
+                _with_interval(test.unknown_auroc, test.auroc_interval, 1.0, 3),
             )
     yield table
     yield (

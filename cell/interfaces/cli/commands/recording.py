@@ -26,10 +26,10 @@ def list_recordings(
 ) -> None:
     """List the recordings of all jobs in a folder, oldest first."""
     table = Table("recording", "MB", "last write", "marked")
-    for one in recordings(folder):
-        size, written = f"{one.n_bytes / 1e6:.1f}", datetime.fromtimestamp(one.written_s)
-        marked = "yes" if one.marked else ""
-        table.add_row(plain_text(str(one.path)), size, f"{written:%Y-%m-%d %H:%M}", marked)
+    for file in recordings(folder):
+        size, written = f"{file.n_bytes / 1e6:.1f}", datetime.fromtimestamp(file.written_s)
+        marked = "yes" if file.marked else ""
+        table.add_row(plain_text(str(file.path)), size, f"{written:%Y-%m-%d %H:%M}", marked)
     print_table(table)
 
 
@@ -78,7 +78,7 @@ def plot(
             from cell.archive.store import Archive
         every = Archive(source).grasps(selection)
     else:
-        every = (one for one in read_grasps(source) if selection.fits(one))
+        every = (grasp for grasp in read_grasps(source) if selection.fits(grasp))
     n_grasps = 0
     for n_grasps, grasp in enumerate(every, start=1):  # noqa: B007
         if n_grasps > number:

@@ -113,7 +113,7 @@ def result_lines(result: MainResult, true_sizes: Mapping[str, str]) -> Iterator[
     yield f"One grasp takes {result.grasp_s:.1f} s of the cell's time."
     yield from result.remarks
     shapes = shapes_view(
-        [(one.presented, one.label, one.shape) for one in result.parts], true_sizes
+        [(part.presented, part.label, part.shape) for part in result.parts], true_sizes
     )
     for group in [] if shapes is None else shapes["groups"]:
         sizes = f"; {group['text']}" if group["text"] else ""

@@ -165,7 +165,7 @@ def _unit(config: CellConfig, config_file: Path | None, options: tuple[str, ...]
     command = [*program(), "serve", *options, "--out", str(folder)]
     if config_file is not None:
         command += ["--config", str(config_file.resolve())]
-    prepare = "".join(f"ExecStartPre=-+{shlex.join(one)}\n" for one in _can_commands(config))
+    prepare = "".join(f"ExecStartPre=-+{shlex.join(words)}\n" for words in _can_commands(config))
     further = f"ReadWritePaths={_quoted(f'-{folder}')}\n" if folder.is_absolute() else ""
     if any(port < _FREE_PORTS for port in config.serve.ports):
         further += "AmbientCapabilities=CAP_NET_BIND_SERVICE\n"
@@ -244,7 +244,7 @@ def write_bundle(path: Path, config: CellConfig) -> list[str]:
     """
     hidden = {key: REMOVED for key in _SECRET_KEYS if getattr(config.serve, key)}
     public = config.model_copy(update={"serve": config.serve.model_copy(update=hidden)})
-    packages = sorted((one.name, one.version) for one in distributions())
+    packages = sorted((package.name, package.version) for package in distributions())
     machine = {"python": platform.python_version(), "system": platform.platform()}
     texts = {
         "config.yaml": config_text(public, comments=False),
@@ -254,7 +254,7 @@ def write_bundle(path: Path, config: CellConfig) -> list[str]:
         "journal.txt": _journal(),
     }
     recordings = Path(config.recording.directory).glob("*/*.mcap")
-    *_, newest = [None, *sorted(recordings, key=lambda one: one.stat().st_mtime)]
+    *_, newest = [None, *sorted(recordings, key=lambda path: path.stat().st_mtime)]
     packed = newest is not None and os.access(newest, os.R_OK)
     if newest is not None and not (packed and newest.stat().st_size <= RECORDING_BYTES):
         cause = (

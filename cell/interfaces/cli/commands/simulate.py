@@ -50,10 +50,10 @@ def simulate(
         _be_hands(folder or Path(), ask)
         return
     if list_faults:
-        for one in VOCABULARY.values():
-            moment = " (a moment, without end)" if one.moment else ""
-            value = f" [{one.value.text}]" if one.value else ""
-            print_line(f"{one.name:<22} {one.meaning}{moment}{value}")
+        for fault in VOCABULARY.values():
+            moment = " (a moment, without end)" if fault.moment else ""
+            value = f" [{fault.value.text}]" if fault.value else ""
+            print_line(f"{fault.name:<22} {fault.meaning}{moment}{value}")
         return
     serve_simulated_cell(
         cell_config(config, seed=seed, faults=faults, simulate=True),

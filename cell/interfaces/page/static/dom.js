@@ -25,19 +25,19 @@ export function drawing(tag, attributes = {}) {
 }
 
 // A list is rebuilt only when its content has changed: focus and pointer stay.
-const shown = new WeakMap();
+const contents = new WeakMap();
 export function renew(node, value, makeChildren) {
   const now = JSON.stringify(value);
-  if (shown.get(node) === now) return;
-  shown.set(node, now);
+  if (contents.get(node) === now) return;
+  contents.set(node, now);
   node.replaceChildren(...makeChildren());
 }
 
 // A button that can be focused and read while it is not allowed; it shows the reason.
 export function allow(button, word, hint, reason) {
   const key = `${word}|${hint}|${reason}`;
-  if (shown.get(button) === key) return;
-  shown.set(button, key);
+  if (contents.get(button) === key) return;
+  contents.set(button, key);
   button.setAttribute("aria-disabled", reason ? "true" : "false");
   button.replaceChildren(make("b", {}, word), make("span", {}, reason || hint));
 }

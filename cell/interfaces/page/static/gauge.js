@@ -52,7 +52,7 @@ export function renderGauge(view) {
   const gauged = gauging ? job.progress.gauged ?? null : null;
   if (gauging && runs(job)) byId("gauge").open = true;
   setText(byId("gauge_now"), t("gauge.now", { gain: gainText(drift.gain ?? 1), opening: millimetres(drift.opening_mm) }));
-  renew(byId("gauge_label"), taught.map((one) => one.label), () => taught.map((one) => make("option", { value: one.label }, one.label)));
+  renew(byId("gauge_label"), taught.map((object) => object.label), () => taught.map((object) => make("option", { value: object.label }, object.label)));
   const reason = view.why("gauge");
   allow(byId("gauge_start"), t("do.gauge"), t("hint.gauge"), reason);
   byId("gauge_forget").setAttribute("aria-disabled", String(Boolean(reason)));

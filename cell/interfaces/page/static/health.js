@@ -5,12 +5,12 @@ import { dealtWith } from "./fault.js";
 import { number, t } from "./words.js";
 
 const LEVELS = ["bad", "watch", "ok"];
-const most = (values) => (values?.length ? Math.max(...values.filter((one) => one !== null)) : null);
+const most = (values) => (values?.length ? Math.max(...values.filter((value) => value !== null)) : null);
 
 function sentences(health) {
   const { servos, can, loop, drift, zero, recording } = health;
-  const found = [];
-  const add = (level, key, values) => found.push([LEVELS.includes(level) ? level : "watch", t(key, values)]);
+  const facts = [];
+  const add = (level, key, values) => facts.push([LEVELS.includes(level) ? level : "watch", t(key, values)]);
   if (servos && (servos.level !== "ok" || servos.temperature_c?.length)) {
     add(servos.level, servos.load?.length ? "health.servos" : "health.servos_heat", {
       heat: number(most(servos.temperature_c), 0), load: number(100 * (most(servos.load) ?? 0), 0),
@@ -21,18 +21,18 @@ function sentences(health) {
   if (drift) add(drift.level, "health.drift", { gain: number(100 * ((drift.gain ?? 1) - 1), 1), opening: number(drift.opening_mm, 2) });
   if (zero?.text) add(zero.level, "health.zero", {});
   if (recording) add(recording.level, recording.path ? "health.recording" : "health.no_recording", {});
-  if (recording?.text && recording.level !== "ok") found.at(-1)[1] += `: ${recording.text}`;
-  return found.sort((a, b) => LEVELS.indexOf(a[0]) - LEVELS.indexOf(b[0]));
+  if (recording?.text && recording.level !== "ok") facts.at(-1)[1] += `: ${recording.text}`;
+  return facts.sort((a, b) => LEVELS.indexOf(a[0]) - LEVELS.indexOf(b[0]));
 }
 
 export function renderHealth({ state, link }) {
   const node = byId("health");
-  const found = state?.health && !link.stale ? sentences(state.health) : [];
-  const well = !dealtWith(state) && found.length > 0 && found.every(([level]) => level === "ok");
-  renew(node, [link.stale, well, found, document.documentElement.lang], () => {
+  const facts = state?.health && !link.stale ? sentences(state.health) : [];
+  const well = !dealtWith(state) && facts.length > 0 && facts.every(([level]) => level === "ok");
+  renew(node, [link.stale, well, facts, document.documentElement.lang], () => {
     node.setAttribute("aria-label", t("health.title"));
-    if (!found.length) return [make("span", { class: "muted" }, t(link.stale ? "health.not_now" : "health.none"))];
-    const lines = found.map(([level, text]) => make("span", { class: `line ${level}` },
+    if (!facts.length) return [make("span", { class: "muted" }, t(link.stale ? "health.not_now" : "health.none"))];
+    const lines = facts.map(([level, text]) => make("span", { class: `line ${level}` },
       level === "ok" ? "" : `${t(`level.${level}`)} – `, text));
     return well ? [make("b", {}, `✓ ${t("health.well")}`), ...lines] : lines;
   });

@@ -19,7 +19,7 @@ export function current(state) {
     if (job.task === "sort" && fromThisJob) return newest;
     return { tentative: true };
   }
-  return status.holding ? answers.find((one) => one.number === state.held_part) ?? null : newest;
+  return status.holding ? answers.find((answer) => answer.number === state.held_part) ?? null : newest;
 }
 
 export const shapeWord = (kind, size_mm) =>
@@ -73,44 +73,44 @@ export function shapeParts(kind, size_mm, interval_mm) {
 export function renderHeld({ state, info, taught, link }) {
   if (!state) return;
   const { status, job } = state;
-  const found = current(state);
+  const answer = current(state);
   const panel = byId("held");
-  const unknown = found?.label === "UNKNOWN";
-  const sure = found?.probability >= (info?.sure_probability ?? 0.9);
-  panel.classList.toggle("tentative", Boolean(found?.tentative));
+  const unknown = answer?.label === "UNKNOWN";
+  const sure = answer?.probability >= (info?.sure_probability ?? 0.9);
+  panel.classList.toggle("tentative", Boolean(answer?.tentative));
   panel.classList.toggle("unknown", unknown);
-  panel.classList.toggle("unsure", Boolean(found?.label) && !sure && !unknown && !found.tentative);
-  const when = found?.time_s ? clockShort(found.time_s) : "";
-  const where = found?.tentative ? doing(state)[0]
-    : found?.place ? t("held.at_place", { place: found.place }) : status.holding ? t("held.in_grip")
-      : found ? t("held.let_go") : t("held.empty");
-  const what = when && !found.tentative ? `${where} – ${when}` : where;
+  panel.classList.toggle("unsure", Boolean(answer?.label) && !sure && !unknown && !answer.tentative);
+  const when = answer?.time_s ? clockShort(answer.time_s) : "";
+  const where = answer?.tentative ? doing(state)[0]
+    : answer?.place ? t("held.at_place", { place: answer.place }) : status.holding ? t("held.in_grip")
+      : answer ? t("held.let_go") : t("held.empty");
+  const what = when && !answer.tentative ? `${where} – ${when}` : where;
   setText(byId("held_when"), link.stale ? t("held.last_known", { what }) : what);
-  setText(byId("held_name"), !found ? (status.holding ? t("held.not_named") : t("held.nothing"))
-    : found.label ? labelWord(found.label) : t("held.feeling"));
-  const size_mm = found?.size_mm || null;
-  const feels = found?.shape && size_mm ? shapeWord(found.shape, size_mm) : "";
-  setText(byId("held_sure"), !found?.label ? ""
-    : notNamed(found) ? t("held.not_named")
+  setText(byId("held_name"), !answer ? (status.holding ? t("held.not_named") : t("held.nothing"))
+    : answer.label ? labelWord(answer.label) : t("held.feeling"));
+  const size_mm = answer?.size_mm || null;
+  const feels = answer?.shape && size_mm ? shapeWord(answer.shape, size_mm) : "";
+  setText(byId("held_sure"), !answer?.label ? ""
+    : notNamed(answer) ? t("held.not_named")
     : unknown ? (feels ? t("held.feels", { shape: feels }) : t("held.no_shape"))
-      : found.tentative ? t("held.so_far", { probability: percent(found.probability) })
-        : t(sure ? "held.sure" : "held.unsure", { probability: percent(found.probability) }));
-  byId("held_bar").style.width = `${100 * (found?.label ? found.probability ?? 0 : 0)}%`;
-  const second = found?.runner_up;
+      : answer.tentative ? t("held.so_far", { probability: percent(answer.probability) })
+        : t(sure ? "held.sure" : "held.unsure", { probability: percent(answer.probability) }));
+  byId("held_bar").style.width = `${100 * (answer?.label ? answer.probability ?? 0 : 0)}%`;
+  const second = answer?.runner_up;
   setText(byId("held_second"), second ? t("held.second", {
     label: labelWord(second.label), probability: percent(second.probability),
   }) : "");
 
-  const object = found?.label ? taught.find((one) => one.label === found.label) : null;
+  const object = answer?.label ? taught.find(({ label }) => label === answer.label) : null;
   // The named object with the measured size. A line reports another shape whose size differs too: kinds are often similar.
   const clear = (shape) => shape !== "unclear" && has(`shape.${shape}`);
-  const kind = clear(object?.shape) ? object.shape : found?.shape;
+  const kind = clear(object?.shape) ? object.shape : answer?.shape;
   const drawn = kind && size_mm ? shapeWord(kind, size_mm) : "";
-  drawShape(byId("held_shape"), found?.tentative ? null : kind, size_mm, found?.interval_mm);
-  const size = drawn && found.interval_mm
-    ? t("held.size", { shape: drawn, low: number(found.interval_mm[0], 1), high: millimetres(found.interval_mm[1]) }) : drawn;
-  const [low_mm, high_mm] = found?.interval_mm ?? [-Infinity, Infinity];
-  const disagree = feels && clear(found.shape) && found.shape !== kind && (object.size_mm < low_mm || object.size_mm > high_mm);
+  drawShape(byId("held_shape"), answer?.tentative ? null : kind, size_mm, answer?.interval_mm);
+  const size = drawn && answer.interval_mm
+    ? t("held.size", { shape: drawn, low: number(answer.interval_mm[0], 1), high: millimetres(answer.interval_mm[1]) }) : drawn;
+  const [low_mm, high_mm] = answer?.interval_mm ?? [-Infinity, Infinity];
+  const disagree = feels && clear(answer.shape) && answer.shape !== kind && (object.size_mm < low_mm || object.size_mm > high_mm);
   setText(byId("held_size"), disagree ? `${size}\n${t("held.disagree", { shape: feels })}` : size);
 
   if (object) drawShape(byId("held_taught"), object.shape, object.size_mm);

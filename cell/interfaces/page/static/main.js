@@ -37,11 +37,11 @@ const view = {
 };
 
 function chooseTab(name) {
-  for (const one of TABS) {
-    const chosen = one === name;
-    byId(`tab_${one}`).setAttribute("aria-selected", String(chosen));
-    byId(`tab_${one}`).tabIndex = chosen ? 0 : -1;
-    show(byId(one), chosen);
+  for (const tab of TABS) {
+    const chosen = tab === name;
+    byId(`tab_${tab}`).setAttribute("aria-selected", String(chosen));
+    byId(`tab_${tab}`).tabIndex = chosen ? 0 : -1;
+    show(byId(tab), chosen);
   }
   dirty = true;
 }
@@ -120,7 +120,7 @@ function setup() {
   });
   byId("tabs").addEventListener("keydown", (event) => {
     const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
-    const at = TABS.findIndex((one) => byId(`tab_${one}`) === document.activeElement);
+    const at = TABS.findIndex((tab) => byId(`tab_${tab}`) === document.activeElement);
     if (!step || at < 0) return;
     const name = TABS[(at + step + TABS.length) % TABS.length];
     chooseTab(name);

@@ -74,7 +74,7 @@ function drawPad(context, pad, values, { x, y, k, full_n, marks }) {
   const { xy, dx, dy, width, height } = geometry(pad);
   const gap = Math.max(0.5, 0.05 * k * Math.min(dx, dy));
   const forces = values.subarray(pad.first, pad.first + xy.length);
-  const sum = forces.reduce((all, one) => all + one, 0);
+  const sum = forces.reduce((all, force) => all + force, 0);
   context.fillStyle = colour("line");
   context.fillRect(x, y, k * width, k * height);
   forces.forEach((force, i) => {
@@ -96,7 +96,7 @@ function drawPad(context, pad, values, { x, y, k, full_n, marks }) {
     if (!touched(px, py + dy)) { context.moveTo(left, bottom); context.lineTo(right, bottom); }
   }
   context.stroke();
-  const centre = [0, 1].map((axis) => forces.reduce((all, one, i) => all + one * xy[i][axis], 0) / sum);
+  const centre = [0, 1].map((axis) => forces.reduce((all, force, i) => all + force * xy[i][axis], 0) / sum);
   const [cx, cy] = [x + k * (centre[0] + dx / 2), y + k * (centre[1] + dy / 2)];
   for (const [stroke, width_px] of [["card", 5], ["ink", 2]]) {
     context.strokeStyle = colour(stroke);
@@ -117,19 +117,19 @@ function calmScale(peak_n) {
   const now_s = performance.now() / 1000;
   peaks.push([now_s, peak_n]);
   peaks = peaks.filter(([at_s]) => now_s - at_s < WINDOW_S);
-  const highest = Math.max(...peaks.map(([, one]) => one));
+  const highest = Math.max(...peaks.map(([, peak]) => peak));
   return [0.2, 0.5, 1, 2, 5, 10, 20, 50].find((step) => highest <= step) ?? 100;
 }
 
 export function drawPads(canvas, pads, values, { full_n, note = "" }) {
-  const found = sized(canvas);
-  if (!found || !pads?.length) return;
-  const { context, width, height } = found;
+  const surface = sized(canvas);
+  if (!surface || !pads?.length) return;
+  const { context, width, height } = surface;
   const inner = pads.filter((pad) => pad.inner);
   const LABEL = 24;
   const LEGEND = note ? 44 : 22;
   const GAP = 18;
-  const others = inner.map((one) => pads.filter((pad) => !pad.inner && pad.finger === one.finger));
+  const others = inner.map(({ finger }) => pads.filter((pad) => !pad.inner && pad.finger === finger));
   const most = (list, value) => Math.max(0, ...list.map(value));
   const wide = most(inner, (pad) => geometry(pad).width);
   const high = most(inner, (pad) => geometry(pad).height);
@@ -196,20 +196,20 @@ function line(context, points, toX, toY) {
 
 // Times of contact: the set-point begins to rise.
 function contacts(series) {
-  return series.filter((one, i) => i && one.setpoint_n > 0 && !(series[i - 1].setpoint_n > 0)).map((one) => one.t_s);
+  return series.filter((sample, i) => i && sample.setpoint_n > 0 && !(series[i - 1].setpoint_n > 0)).map((sample) => sample.t_s);
 }
 
 export function drawChart(canvas, series, { begin_s, end_s, levels_n = [], cap_n = null, opening_max_mm = null, live = true }) {
-  const found = sized(canvas);
-  if (!found) return;
-  const { context, width, height } = found;
+  const surface = sized(canvas);
+  if (!surface) return;
+  const { context, width, height } = surface;
   const [left, right, top, bottom, between] = [46, 46, 18, 22, 26];
   const forceHigh = Math.round(0.64 * (height - top - bottom - between));
   const openTop = top + forceHigh + between;
   const openHigh = height - bottom - openTop;
-  const highest = Math.max(1, ...levels_n, ...series.map((one) => Math.max(one.force_n ?? 0, one.setpoint_n ?? 0)));
+  const highest = Math.max(1, ...levels_n, ...series.map((sample) => Math.max(sample.force_n ?? 0, sample.setpoint_n ?? 0)));
   const most_n = niceTop(highest * 1.05);
-  const openings = series.map((one) => one.opening_mm).filter((one) => one != null);
+  const openings = series.map((sample) => sample.opening_mm).filter((mm) => mm != null);
   const most_mm = niceTop(Math.max(5, ...openings, live && opening_max_mm ? Math.min(opening_max_mm, 30) : 0));
   const toX = (t_s) => left + ((t_s - begin_s) / (end_s - begin_s)) * (width - left - right);
   const forceY = (n) => top + forceHigh * (1 - n / most_n);
@@ -281,30 +281,30 @@ export function drawChart(canvas, series, { begin_s, end_s, levels_n = [], cap_n
   context.strokeStyle = colour("muted");
   context.lineWidth = 2;
   context.setLineDash([7, 5]);
-  line(context, series.map((one) => [one.t_s, one.setpoint_n]), toX, forceY);
+  line(context, series.map((sample) => [sample.t_s, sample.setpoint_n]), toX, forceY);
   context.setLineDash([]);
   context.strokeStyle = colour("ink");
   context.lineWidth = 2.5;
-  line(context, series.map((one) => [one.t_s, one.force_n]), toX, forceY);
+  line(context, series.map((sample) => [sample.t_s, sample.force_n]), toX, forceY);
   context.strokeStyle = colour("accent");
   context.lineWidth = 2.5;
-  line(context, series.map((one) => [one.t_s, one.opening_mm]), toX, openY);
+  line(context, series.map((sample) => [sample.t_s, sample.opening_mm]), toX, openY);
   context.restore();
 }
 
 // With empty fingers: the pads at the highest force of the last answer.
-let shown = { number: null, frame: null };
+let lastGrasp = { number: null, frame: null };
 function lastFrame({ state, link, changed }) {
   const its = state.shift?.answers?.at(-1)?.number ?? null;
-  if (its !== shown.number) {
-    shown = { number: its, frame: null };
+  if (its !== lastGrasp.number) {
+    lastGrasp = { number: its, frame: null };
     if (its !== null) link.call("GET", `api/grasps/${encodeURIComponent(its)}`, { timeout_ms: 5000 }).then((grasp) => {
-      if (its !== shown.number || !grasp.frame) return;
-      shown = { number: its, frame: Float32Array.from(grasp.frame) };
+      if (its !== lastGrasp.number || !grasp.frame) return;
+      lastGrasp = { number: its, frame: Float32Array.from(grasp.frame) };
       changed();
     }).catch(() => {}); // the pads stay empty
   }
-  return runs(state.job) || state.status.holding || state.fault ? null : shown.frame;
+  return runs(state.job) || state.status.holding || state.fault ? null : lastGrasp.frame;
 }
 
 let described_s = 0;

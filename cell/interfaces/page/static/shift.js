@@ -19,8 +19,8 @@ function askDays({ link, changed }, shift) {
   const due = [shift.parts, shift.missed, shift.faults, Math.floor(Date.now() / 60000)].join();
   if (due === asked) return;
   asked = due;
-  link.call("GET", "api/history", { timeout_ms: 5000 }).then((found) => {
-    days = found;
+  link.call("GET", "api/history", { timeout_ms: 5000 }).then((sums) => {
+    days = sums;
     changed();
   }).catch(() => setTimeout(() => (asked = ""), 2000));
 }
@@ -28,8 +28,8 @@ function askDays({ link, changed }, shift) {
 function daySpans() {
   const name = new Intl.RelativeTimeFormat(language, { numeric: "auto" });
   const spans = [["today", 0, "day"], ["yesterday", -1, "day"], ["week", 0, "week"]].map(([key, n, unit]) => {
-    const lost = ["rejected", "missed", "faults"].filter((one) => days[key]?.[one])
-      .map((one) => `${t(`shift.${one}`)} ${number(days[key][one])}`).join(", ");
+    const lost = ["rejected", "missed", "faults"].filter((kind) => days[key]?.[kind])
+      .map((kind) => `${t(`shift.${kind}`)} ${number(days[key][kind])}`).join(", ");
     return make("span", { class: "count" }, `${name.format(n, unit)} `, make("b", {}, number(days[key]?.parts)), lost && ` (${lost})`);
   });
   const pairs = (days.week?.confused ?? []).map(({ held, named, n, confirmed }) =>
@@ -115,7 +115,7 @@ export function drawOpened() {
   byId("grasp_pads").hidden = !frame;
   if (frame) {
     drawPads(byId("grasp_pads"), opened.info?.pads, frame, {
-      full_n: Math.max(0.1, ...frame.map((one) => Math.ceil(10 * one) / 10)), note: "",
+      full_n: Math.max(0.1, ...frame.map((force_n) => Math.ceil(10 * force_n) / 10)), note: "",
     });
   }
   drawChart(byId("grasp_chart"), series, {

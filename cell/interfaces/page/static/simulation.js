@@ -23,11 +23,11 @@ let chosenPart = null; // the part that the cell has when the drawer opens first
 
 function slider(name, unit, min, max, value) {
   const range = make("input", { type: "range", min, max, step: unit === "mm" ? 0.5 : 5, value, name });
-  const shown = make("output", {});
-  const tell = () => setText(shown, `${number(range.valueAsNumber)} ${unit}`);
+  const output = make("output", {});
+  const tell = () => setText(output, `${number(range.valueAsNumber)} ${unit}`);
   range.addEventListener("input", tell);
   tell();
-  return make("label", {}, make("span", {}, t(`sim.${name}`), " ", shown), range);
+  return make("label", {}, make("span", {}, t(`sim.${name}`), " ", output), range);
 }
 
 const options = (pairs) => pairs.map(([value, word]) => make("option", { value }, word));
@@ -43,7 +43,7 @@ function faultGroups(kinds) {
   return [...groups.values()];
 }
 
-const values = (id) => [...byId(id).querySelectorAll("input")].map((one) => [one.name, one.valueAsNumber]);
+const values = (id) => [...byId(id).querySelectorAll("input")].map((input) => [input.name, input.valueAsNumber]);
 
 function chosen() {
   const part = byId("sim_part").value;
@@ -64,7 +64,7 @@ function take({ part, pose }) {
   if (chosenPart !== OWN) return;
   byId("sim_kind").value = kind;
   renewLengths();
-  for (const [name, mm] of lengths.split(",").map((one) => one.split("="))) {
+  for (const [name, mm] of lengths.split(",").map((text) => text.split("="))) {
     const input = byId("sim_lengths").querySelector(`[name=${name}]`);
     if (input) set(input, parseFloat(mm));
   }
@@ -82,7 +82,7 @@ function partWord(part) {
   if (part === null || part === "nothing") return t(part ? "sim.nothing" : "sim.in_turn");
   const [kind, lengths] = part.split(":");
   if (!SHAPES[kind] || !lengths) return part;
-  return `${t(`sim.${kind}`)} ${lengths.split(",").map((one) => one.split("=")[1].replace("mm", "")).join(" × ")}\u00a0mm`;
+  return `${t(`sim.${kind}`)} ${lengths.split(",").map((text) => text.split("=")[1].replace("mm", "")).join(" × ")}\u00a0mm`;
 }
 
 export function setupSimulation(view) {
@@ -136,17 +136,17 @@ export function renderSimulation(view) {
   const held = reason || (state.status.holding ? t("sim.held") : "");
   setText(byId("sim_placed"), partWord(now.placed ?? "nothing"));
   setText(byId("sim_taken"), partWord(now.part));
-  const kept = chosenPart ?? byId("sim_part").value;
+  const part = chosenPart ?? byId("sim_part").value;
   chosenPart = null;
   renew(byId("sim_part"), now.objects, () => options([
-    [IN_TURN, t("sim.in_turn")], ["nothing", t("sim.nothing")], [OWN, t("sim.own")], ...now.objects.map((one) => [one, one])]));
-  if (kept && byId("sim_part").value !== kept) byId("sim_part").value = kept;
+    [IN_TURN, t("sim.in_turn")], ["nothing", t("sim.nothing")], [OWN, t("sim.own")], ...now.objects.map((name) => [name, name])]));
+  if (part && byId("sim_part").value !== part) byId("sim_part").value = part;
   renewLengths();
   allow(byId("sim_put"), t("sim.put"), t("sim.put_hint"), held);
   allow(byId("sim_reset"), t("sim.reset"), t("sim.reset_hint"), reason || (runs(state.job) ? t("why.state.EXECUTE") : ""));
 
-  renew(byId("sim_fault"), faults.kinds.map((one) => one.name), () => faultGroups(faults.kinds));
-  const kind = faults.kinds.find((one) => one.name === byId("sim_fault").value);
+  renew(byId("sim_fault"), faults.kinds.map(({ name }) => name), () => faultGroups(faults.kinds));
+  const kind = faults.kinds.find(({ name }) => name === byId("sim_fault").value);
   const value = kind?.value;
   show(byId("sim_value").parentNode, Boolean(value));
   setText(byId("sim_unit"), value?.unit ?? "");

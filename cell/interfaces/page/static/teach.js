@@ -40,28 +40,28 @@ export function renderTeach(view) {
   if (teaching) {
     setText(byId("teach_progress"), t("teach.progress", { label, grasps, of }) + (missed ? ` – ${t("teach.missed", { n: missed })}` : ""));
     byId("teach_bar").style.width = `${of ? (100 * grasps) / of : 0}%`;
-    renew(byId("teach_each"), each, () => each.map((one, i) => make("li", { value: i + 1 },
-      ...[number(i + 1), newtons(one.force_n), millimetres(one.opening_mm), one.size_mm ? `⌀ ${millimetres(one.size_mm)}` : ""]
+    renew(byId("teach_each"), each, () => each.map((grasp, i) => make("li", { value: i + 1 },
+      ...[number(i + 1), newtons(grasp.force_n), millimetres(grasp.opening_mm), grasp.size_mm ? `⌀ ${millimetres(grasp.size_mm)}` : ""]
         .map((text) => make("span", {}, text)))).reverse());
     setText(byId("teach_end"), runs(job) ? "" : job.progress.taught ? result(job.progress.taught)
       : job.outcome === "SUCCEEDED" ? t("teach.done") : t(`teach.${job.outcome}`, { reason: faultText({ number: job.fault_number, text: job.error }) }));
   }
-  renew(byId("teach_names"), taught.map((one) => one.label), () => taught.map((one) => make("option", { value: one.label })));
+  renew(byId("teach_names"), taught.map((object) => object.label), () => taught.map((object) => make("option", { value: object.label })));
   const off = Boolean(reason);
   renew(byId("taught"), [taught, off], () =>
-    (taught.length ? taught.map((one) => {
+    (taught.length ? taught.map((object) => {
       const image = drawing("svg", { "aria-hidden": "true", class: "kind shape", viewBox: "30 0 140 132" });
-      if (one.shape && one.size_mm) image.append(...shapeParts(one.shape, one.size_mm, null).slice(0, -3));
+      if (object.shape && object.size_mm) image.append(...shapeParts(object.shape, object.size_mm, null).slice(0, -3));
       const back = make("button", { type: "button", class: "plain" }, t("teach.back"));
       const forget = make("button", { type: "button", class: "plain" }, t("teach.forget"));
-      back.setAttribute("aria-label", t("teach.back_of", { label: one.label }));
-      forget.setAttribute("aria-label", t("teach.forget_of", { label: one.label }));
+      back.setAttribute("aria-label", t("teach.back_of", { label: object.label }));
+      forget.setAttribute("aria-label", t("teach.forget_of", { label: object.label }));
       for (const button of [back, forget]) button.setAttribute("aria-disabled", String(off));
-      const path = `api/taught/${encodeURIComponent(one.label)}`;
+      const path = `api/taught/${encodeURIComponent(object.label)}`;
       const away = (at, last = "") => view.attempt(() => view.link.call("DELETE", `${at}?lease=${view.link.lease}${last}`, { timeout_ms: 20_000 })).then(view.refreshTaught);
-      back.addEventListener("click", () => isAllowed(back) && view.ask(t("teach.back_sure", { label: one.label }), t("teach.back"), () => away(path, "&last=true")));
-      forget.addEventListener("click", () => isAllowed(forget) && view.ask(t("teach.forget_sure", { label: one.label, n: one.n_grasps ?? 0 }), t("teach.forget"), () => away(path)));
-      const facts = [one.n_grasps == null ? "" : t("shift.grasps", { n: one.n_grasps }), one.shape && one.size_mm ? shapeWord(one.shape, one.size_mm) : ""];
-      return make("li", {}, image, make("span", {}, make("b", {}, one.label), make("small", {}, facts.filter(Boolean).join(" · "))), back, forget);
+      back.addEventListener("click", () => isAllowed(back) && view.ask(t("teach.back_sure", { label: object.label }), t("teach.back"), () => away(path, "&last=true")));
+      forget.addEventListener("click", () => isAllowed(forget) && view.ask(t("teach.forget_sure", { label: object.label, n: object.n_grasps ?? 0 }), t("teach.forget"), () => away(path)));
+      const facts = [object.n_grasps == null ? "" : t("shift.grasps", { n: object.n_grasps }), object.shape && object.size_mm ? shapeWord(object.shape, object.size_mm) : ""];
+      return make("li", {}, image, make("span", {}, make("b", {}, object.label), make("small", {}, facts.filter(Boolean).join(" · "))), back, forget);
     }) : [make("li", { class: "muted" }, t("teach.none"))]));
 }

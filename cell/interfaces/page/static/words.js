@@ -1,8 +1,8 @@
 // Texts in the language of the browser; numbers and times in its locale.
 
 const LANGUAGES = ["en", "de"];
-const wanted = navigator.languages?.length ? navigator.languages : [navigator.language];
-const locale = wanted.find((one) => LANGUAGES.includes(one.slice(0, 2).toLowerCase())) ?? "en";
+const tags = navigator.languages?.length ? navigator.languages : [navigator.language];
+const locale = tags.find((tag) => LANGUAGES.includes(tag.slice(0, 2).toLowerCase())) ?? "en";
 export const language = locale.slice(0, 2).toLowerCase();
 
 let texts = {};
