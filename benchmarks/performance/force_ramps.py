@@ -302,10 +302,12 @@ class Rig:
 class PlainPi:
     """PI on the force, with friction as feed-forward by the direction, and a reset at rest.
 
-    It stands in the place of the gripper's own law.
+    It stands in the place of the gripper's own law. Its figures are the best of 23 sets on other
+    servos: with more friction in the hold the fingers of some grippers swing off the part.
     """
 
-    gain, integral_per_s, mean_s, rest_n = 0.4, 6.0, 0.02, 0.15
+    gain, integral_per_s, mean_s, rest_n = 0.2, 3.0, 0.04, 0.3
+    ramp_share, hold_share = 0.8, 0.5
 
     def __init__(self, grip: Grip, now_s: float, **_stiffness: float) -> None:
         self._grip, self._sample_s = grip, now_s
@@ -336,10 +338,12 @@ class PlainPi:
             self._integral_n, grip.balance_n = 0.0, grip.force_n
             return grip.balance_n
         self._integral_n += self.integral_per_s * error_n * dt_s
-        self._integral_n = min(max(self._integral_n, -period.friction_n), period.friction_n)
+        most_n = 2.0 * period.friction_n
+        self._integral_n = min(max(self._integral_n, -most_n), most_n)
         rises = copysign(1.0, grip.rate_n_s or error_n) > 0.0
-        yielding_n = mean_yielding_n(period.paths, setpoint_n)
-        edge_n = setpoint_n + period.friction_n if rises else yielding_n
+        yields_n = mean_yielding_n(period.paths, setpoint_n) - setpoint_n
+        share = self.ramp_share if grip.rate_n_s else self.hold_share
+        edge_n = setpoint_n + share * (period.friction_n if rises else yields_n)
         wanted_n = edge_n + self.gain * error_n + self._integral_n
         grip.balance_n = max(wanted_n, -period.friction_n)
         return grip.balance_n
