@@ -23,6 +23,7 @@ from cell.control.positioner import (
     CallbackPositioner,
     Destination,
     OperatorPositioner,
+    SimulatedPositioner,
     SocketPlacer,
 )
 from cell.control.states import CellState
@@ -98,11 +99,11 @@ def test_socket_placer_speaks_json_lines(placed, tmp_path) -> None:
     placer, answer = placed
     request = answer(json.dumps({"ok": True, "pose": asdict(Pose(x_m=3e-3))}).encode() + b"\n")
     assert placer.place("ball", POSE) == Pose(x_m=3e-3)
-    asked = json.loads(request.result())
-    assert (asked["place"], asked["pose"]["x_m"]) == ("ball", POSE.x_m)
+    assert json.loads(request.result()) == {"place": "ball", "pose": asdict(POSE)}
     answer(b'{"error": "no such object"}\n')
     with pytest.raises(PositionerError, match="no such object"):
         placer.place("x", POSE)
+    assert CallbackPositioner(print, SimulatedPositioner(placer)).blocks  # the host may take long
 
 
 @pytest.mark.parametrize(
