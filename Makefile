@@ -10,6 +10,8 @@ PYTEST_ARGS ?=
 # Byte code is kept between runs: to compile all tests again takes seconds.
 PYTEST = env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest
 TESTS = $(PYTEST) -n auto --dist worksteal $(PYTEST_ARGS)
+# Runs of tests that take longer than usual.
+UNTIMED = $(TESTS) -p no:processor_time
 
 .PHONY: run serve quick test test-long test-real-time coverage mutants wheel-test check format docs docs-pages pictures bench paper campaign soak vcan clients help clean distclean
 
@@ -39,7 +41,7 @@ mutants: $(DEV)  ## 60 random changes of the code, and which of them the tests f
 	$(BIN)/python -m tests.mutants run out/mutants.json out/times.txt
 
 coverage: $(DEV)  ## line coverage of the tests without real time: less than 95 % is an error; takes three times as long
-	$(TESTS) -m "not real_time" --cov --cov-report=term:skip-covered --cov-fail-under=95
+	$(UNTIMED) -m "not real_time" --cov --cov-report=term:skip-covered --cov-fail-under=95
 
 wheel-test: $(DEV)  ## the tests of a project that uses the built wheel, in a fresh environment
 	.ci/wheel-test
@@ -71,7 +73,7 @@ campaign: $(DEV)  ## every fault, then 2,000 new inputs for each parser and new 
 	$(TESTS) -m "not real_time" -o junit_family=xunit1 --junitxml=out/fault-campaign.xml tests/faults/test_fault_rows.py
 	$(BIN)/python -m pytest -m real_time tests/faults/test_fault_rows.py tests/hil
 	for round in $$(seq $(or $(ROUNDS),1)); do \
-	TACTILE_CELL_INPUTS=2000 $(TESTS) -m "not real_time" --timeout=3600 tests/fuzz tests/faults/test_state_machine.py || exit; done
+	TACTILE_CELL_INPUTS=2000 $(UNTIMED) -m "not real_time" --timeout=3600 tests/fuzz tests/faults/test_state_machine.py || exit; done
 
 soak: $(DEV)  ## 10,000 connections to each interface, a watched shift, 42 starts; hours: memory, files, threads stay flat
 	for work in "--connects $(or $(CONNECTS),10000)" "--hours $(or $(HOURS),8)" "--starts $(or $(STARTS),42)"; do \
