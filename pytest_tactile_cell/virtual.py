@@ -114,6 +114,8 @@ class VirtualCell:
         gripper.errors.GripperError, tactile.errors.TactileError
             A fault that the controller detects.
         """
+        if not seconds >= 0.0:
+            raise ValueError(f"idle takes a time of at least 0 s, got {seconds}")
         due_s = self.clock.monotonic()
         end_s = due_s + seconds
         while due_s < end_s:

@@ -64,6 +64,8 @@ def _rehearse(recognizer: Recognizer, grasp: Grasp) -> None:
     for variant in (grasp, replace(grasp, aperture_m=np.array(np.nan))):
         with suppress(RecognitionError):
             posterior = recognizer.posterior(variant)
+            if posterior.labels != recognizer.labels:
+                raise ValueError("its answers have other labels")
             if not np.all(np.isfinite([*posterior.probability, posterior.unknown])):
                 raise ValueError("its probabilities are not finite")
 

@@ -51,9 +51,12 @@ class ByteStream(Protocol):
 def open_line(port: str | ByteStream, baudrate: int) -> tuple[ByteStream, Clock]:
     """Return the bytes and the time of a serial port, or of a line that is open already.
 
-    A line to simulated servos has their time with it, as ``clock``. Raises PortLost and
-    LimitExceeded as `SerialStream`.
+    A line to simulated servos has their time with it, as ``clock``. Raises PortLost as
+    `SerialStream`, and LimitExceeded when servos do not support the baud rate.
     """
+    if baudrate not in BAUD_CODES:
+        rates = ", ".join(map(str, BAUD_CODES))
+        raise LimitExceeded(f"baud rate {baudrate} is not one of servos; use {rates}")
     stream = SerialStream(port, baudrate) if isinstance(port, str) else port
     clock: Clock = getattr(stream, "clock", time)
     return stream, clock
@@ -84,26 +87,22 @@ def latency_timer_ms(path: str) -> int | None:
 class SerialStream:
     """A serial port of the operating system for one program, which a lock of its file excludes.
 
-    Raises PortLost when the port is missing, used or not permitted; the message names the remedy.
-    Raises LimitExceeded when servos do not support the baud rate.
+    Raises PortLost when the port is missing, used or not permitted, or does not support the baud
+    rate; the message names the remedy.
 
     Parameters
     ----------
     path
         Device, such as /dev/ttyUSB0 or a link below /dev/serial/by-id.
     baudrate
-        One of `gripper.dynamixel.control_table.BAUD_CODES`.
+        Baud rate; boards have others than servos.
     """
 
     def __init__(self, path: str, baudrate: int = 1_000_000) -> None:
-        if baudrate not in BAUD_CODES:
-            raise LimitExceeded(
-                f"baud rate {baudrate} is not supported; use {', '.join(map(str, BAUD_CODES))}"
-            )
         self.path = path
         try:
             self._serial = serial.Serial(path, baudrate, timeout=0, exclusive=True)
-        except _PORT_ERRORS as error:
+        except (*_PORT_ERRORS, ValueError) as error:
             raise PortLost(_opening_failed(path, error)) from error
         # The driver hands bytes on at once; not every driver can.
         with suppress(ValueError, AttributeError, NotImplementedError, *_PORT_ERRORS):

@@ -290,6 +290,8 @@ def test_a_gripper_that_cannot_be_or_does_not_match_leaves_no_port_open() -> Non
         assert line.closed
     with pytest.raises(PortLost, match="cannot open serial port /dev/nowhere"):
         opened("/dev/nowhere")
+    with pytest.raises(LimitExceeded, match="250000"):
+        open_line("/dev/nowhere", 250_000)
 
 
 @pytest.mark.parametrize(
