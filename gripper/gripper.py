@@ -43,7 +43,7 @@ from gripper.mechanics.transmission import Mechanics
 from gripper.servos.goal_limits import OPENING_MARGIN_RAD
 from gripper.servos.group import Servos
 from gripper.servos.watchdog_proof import prove_watchdog
-from gripper.settings import GripperSettings
+from gripper.settings import GripperSettings, check_number
 from gripper.values.force_sensor import ForceSensor
 from gripper.values.outcome import GraspOutcome, GraspResult, ReleaseReport
 from gripper.values.servo_checks import ServoCondition, VerificationReport, VerificationRow
@@ -169,6 +169,7 @@ class Gripper:
             _check_standing(self._standing_rows())
         else:
             if held_before:
+                self._carried = None
                 self._life.torque_from_before()
             report = self._servos.verify(correct=False, refuse=not held_before)
         self._check_link(self._ids)
@@ -358,6 +359,7 @@ class Gripper:
             As `hold`.
         """
         control = self._held_control("hold_at")
+        check_number("duration_s", duration_s, low=0.0)
         ramp = ForceRamp.linear(force_n, HOLD_AT_RATE_N_S, start_n=control.grip.setpoint_n)
         self.check_ramp(ramp)
         self._carried = None

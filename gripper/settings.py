@@ -36,8 +36,8 @@ def check_number(
         (value <= high, f"at most {high:g}"),
     ]
     if not isfinite(value) or not all(ok for ok, _ in bounds):
-        broken = " and ".join(text for ok, text in bounds if not ok) or "a number"
-        raise LimitExceeded(f"{name} is {value}, must be finite and {broken}")
+        why = " and ".join(text for ok, text in bounds if not (ok or "inf" in text)) or "a number"
+        raise LimitExceeded(f"{name} is {value}, must be finite and {why}")
     return value
 
 

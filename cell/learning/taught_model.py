@@ -166,31 +166,33 @@ class TaughtModel:
             self._with_grid(grid.with_unnamed_as_gauge())
         self.training_set += tuple(grasps)
 
-    def train(self, needed: str = "") -> list[str]:
-        """Train on the training set; the followed drift is kept.
+    def train(self, needed: str = "", given: tuple[Grasp, ...] | None = None) -> list[str]:
+        """Train on the training set, or on what is ``given`` as such; the followed drift is kept.
 
         Objects with too few grasps are left out, except the ``needed`` one, and returned. Raises
         CellError if there are too few grasps for any training; they are kept.
         """
         settings, grid = self.config.recognition, self.drift
-        few = self._too_few(needed)
-        grasps = [grasp for grasp in self.training_set if grasp.label not in few]
+        given = self.training_set if given is None else given
+        few = self._too_few(given, needed)
+        grasps = [grasp for grasp in given if grasp.label not in few]
         try:
             trained = train(
-                grasps or self.training_set, settings.recognizer, use_aperture=settings.use_aperture
+                grasps or given, settings.recognizer, use_aperture=settings.use_aperture
             ).with_caution(settings.caution)
         except CellError as error:
             raise CellError(f"{error}; the grasps are kept for the next teaching") from error
         if grid is not None and isinstance(trained.recognizer, DriftFollowing):
             trained = replace(trained, recognizer=trained.recognizer.with_grid(grid))
         self._trained = trained
+        self.training_set = given  # after the model: `save` of another thread may come between
         self._n_trained += 1
         return few
 
-    def _too_few(self, needed: str) -> list[str]:
+    def _too_few(self, grasps: Sequence[Grasp], needed: str) -> list[str]:
         """Return the objects with too few grasps for the recognizer, without the needed one."""
         least = getattr(RECOGNIZERS[self.config.recognition.recognizer], "min_grasps", 1)
-        counts = Counter(grasp.label for grasp in self.training_set)
+        counts = Counter(grasp.label for grasp in grasps)
         return [label for label, n in counts.items() if n < least and label != needed]
 
     def forget(self, label: str, *, last: bool = False) -> None:
@@ -202,16 +204,15 @@ class TaughtModel:
         taught = [index for index, grasp in enumerate(before) if grasp.label == label]
         gone = set(taught[-1:] if last else taught)
         needed = label if last and label in self.labels else ""
-        self.training_set = tuple(g for index, g in enumerate(before) if index not in gone)
-        few = self._too_few(needed)
-        if all(grasp.label in few for grasp in self.training_set):
-            self._trained = None
+        left = tuple(g for index, g in enumerate(before) if index not in gone)
+        few = self._too_few(left, needed)
+        if all(grasp.label in few for grasp in left):
+            self._trained, self.training_set = None, left
             self._n_trained += 1
             return
         try:
-            self.train(needed)
+            self.train(needed, left)
         except CellError as error:
-            self.training_set = before
             raise CellError(
                 f"{label!r} is unchanged, because too few grasps would remain: "
                 f"{error.__cause__ or error}; teach more first, or forget the whole object"
@@ -350,7 +351,7 @@ class TaughtModel:
         ModelError or DatasetError if a file cannot be written, or has changed since this program
         read or wrote it.
         """
-        path, trained = Path(path), self.check_taught()
+        path, grasps, trained = Path(path), self.training_set, self.check_taught()
         known_ns, now_ns = self._times_ns.get(place := path.resolve()), _changed_ns(path)
         if known_ns is not None and now_ns not in (None, known_ns):
             raise ModelError(
@@ -358,7 +359,7 @@ class TaughtModel:
                 "that file away, or save under another name"
             )
         recognizer, training_set = trained.recognizer, trained.training_set
-        if grasps := self.training_set:
+        if grasps:
             if self._written != (grasps, dataset := training_set_file(path)):
                 write_dataset(dataset, grasps)
                 self._written = (grasps, dataset)

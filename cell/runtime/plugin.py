@@ -19,6 +19,7 @@ from functools import partial
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
+from unicodedata import normalize
 
 from cell.config.file import load_config
 from cell.config.model import CellConfig
@@ -476,6 +477,7 @@ class TactileCellPlugin:
             If its grasps are not available, or the cell is not IDLE.
         """
         self.model.check_extendable()
+        label = normalize("NFC", label)
         if label not in self.model.objects():
             raise RequestRefused(f"{label!r:.80} is not taught")
         file = self._file

@@ -273,8 +273,14 @@ class CellWorker:
         return self.idle_period_s is None or silent_s <= _SILENT_S
 
     def between_jobs(self, act: Callable[[], None]) -> None:
-        """Call a function on the thread after the accepted jobs; it must not fail."""
-        self._queue.put(act)
+        """Call a function on the thread after the accepted jobs; it must not fail.
+
+        A callback of a job is on that thread, and would wait for itself: the call is then at once.
+        """
+        if threading.current_thread() is self._thread:
+            act()
+        else:
+            self._queue.put(act)
 
     def refuse(self) -> None:
         """Accept no further job; accepted jobs run to their end."""

@@ -253,6 +253,16 @@ def test_what_leaves_too_few_grasps_changes_nothing(model) -> None:
     assert model.labels == ("ball", "box")
 
 
+def test_a_model_saved_while_an_object_is_forgotten_can_be_loaded(model, tmp_path, monkeypatch):
+    def save_before(*args: Any, **options: Any) -> Trained:
+        model.save(tmp_path / "m.npz")
+        return train(*args, **options)
+
+    monkeypatch.setattr("cell.learning.taught_model.train", save_before)
+    model.forget("box")
+    assert TaughtModel.load(model.config, tmp_path / "m.npz").labels == ("ball", "box")
+
+
 @dataclass
 class Nearsighted:
     """A recognizer that takes every second grasp of a pin for a bolt."""

@@ -148,8 +148,11 @@ def test_a_part_that_nobody_can_bring_is_refused_at_once(plugin: Any) -> None:
 
 
 def test_a_refused_teaching_gives_no_part_a_name(make_plugin: Any) -> None:
-    plugin = make_plugin()
-    assert done(plugin, GripGoal(force_n=3.0, present="ball")).held
+    plugin, states = make_plugin(), []
+    goal = GripGoal(force_n=3.0, present="ball")
+    ask = lambda _job: states.append(plugin.simulate({"state": True}))  # noqa: E731
+    assert plugin.run(goal, on_progress=ask).held
+    assert states[-1]["placed"]
     with pytest.raises(CellStateError, match="not allowed"):
         plugin.start(TeachGoal(label="my mug", grasps=3))
     assert plugin.simulate({"state": True})["objects"] == ["ball", "box"]

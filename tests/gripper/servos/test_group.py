@@ -5,7 +5,7 @@ from unittest.mock import DEFAULT, Mock
 
 import pytest
 
-from gripper.errors import BusTimeout, GripperStateError, ServoFault
+from gripper.errors import BusTimeout, GripperStateError, LimitExceeded, ServoFault
 from gripper.force.ramp import ForceRamp
 from gripper.servos.bus_loss import BusLossMonitor
 from gripper.servos.goal_limits import ServoGoal
@@ -123,6 +123,8 @@ def test_a_trip_between_two_questions_is_found(cell, monkeypatch) -> None:
 def test_a_part_that_nobody_watched_for_a_while_is_left_with_a_lasting_current(make_cell) -> None:
     cell = make_cell(force_max_n=50.0, watchdog_s=0.5)
     cell.hold_part(ForceRamp.linear(20.0, 20.0))
+    with pytest.raises(LimitExceeded, match="duration_s is nan"):
+        cell.gripper.hold_at(20.0, float("nan"))
     cell.gripper.hold_at(20.0, 0.2)
     cell.clock.sleep(0.2)
     cell.gripper.keep_grip()

@@ -197,10 +197,9 @@ def test_the_rest_ends_where_the_force_of_a_light_touch_is_known(
     rest, t_s, goes_on = ContactRest(0.0, hard_n=hard_n), -DT_S, True
     while goes_on:
         t_s += DT_S
-        seen = scan(period_s * int(t_s / period_s + 1e-9), 0.7, noise_n)
-        goes_on = rest.goes_on(
-            Moment(now_s=t_s, dt_s=DT_S, state=state(t_s, 0.01, 0.0), sample=seen)
-        )
+        new = scan(period_s * int(t_s / period_s + 1e-9), 0.7, noise_n)
+        moment = Moment(now_s=t_s, dt_s=DT_S, state=state(t_s, 0.01, 0.0), sample=new)
+        goes_on = rest.goes_on(moment)
     assert t_s == pytest.approx(lasts_s, abs=0.009)
     assert rest.force_n == pytest.approx(0.7)
 
