@@ -49,7 +49,7 @@ def changed_config(config: _Section, changes: Mapping[str, Any]) -> _Section:
             raise ConfigError(f"the config has no value {path!r}; {hint}")
         owner[last] = deepcopy(value)
     try:
-        return type(config).model_validate_json(json.dumps(values))
+        return type(config).model_validate_json(json.dumps(values, default=str))
     except ValidationError as error:
         problems = "; ".join(
             f"{'.'.join(map(str, item['loc'])) or 'config'}: {_refusal(item)}"

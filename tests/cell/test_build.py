@@ -606,9 +606,7 @@ LAYOUT = pinch_layout()
 N = LAYOUT.n_taxels
 START_S, NOW_S = 10.0, 20.0
 ZERO = PadZero(offset_counts=np.zeros(N), touch_counts=3.0, bad=np.zeros(N, dtype=bool))
-FRAME = TactileFrame(
-    t_s=15.0, begun_s=14.98, counter=1, status=0, counts=np.ones(N, dtype=np.uint16)
-)
+FRAME = TactileFrame(t_s=15.0, begun_s=14.98, counter=1, status=0, counts=np.ones(N, dtype="u2"))
 FORCE = ForceMessage(
     t_s=15.0, counter=1, status=ForceStatus.ZEROED, force_n=(1.0, 1.1), centre_taxels=(0.0, 0.5)
 )

@@ -131,9 +131,8 @@ def received(master: int, bus: BulkSlcanBus, parts: list[bytes]) -> list[Message
             assert len(messages) < 1000
             if not (message.is_remote_frame or message.is_fd or message.is_error_frame):
                 assert len(message.data) == message.dlc
-                messages.append(
-                    (message.arbitration_id, message.is_extended_id, bytes(message.data))
-                )
+                can_id, extended = message.arbitration_id, message.is_extended_id
+                messages.append((can_id, extended, bytes(message.data)))
     with contextlib.suppress(BlockingIOError):
         os.read(master, 4096)  # questions for the adapter's flags
     return messages

@@ -926,10 +926,9 @@ def test_a_line_that_is_lost_fails_the_step_which_keeps_what_it_has_found(tmp_pa
         notes.settings |= REAL
         raise PortLost("the cable is out")
 
+    script = Script(leave_at=["ports.again"])
     with pytest.raises(WizardAborted):
-        Engine([step("ports", lost)], Bench(tmp_path)).run(
-            script := Script(leave_at=["ports.again"])
-        )
+        Engine([step("ports", lost)], Bench(tmp_path)).run(script)
     finding = script.findings["ports"]
     assert finding.lines == ["the port opens", "the cable is out"]
     assert (finding.values, finding.settings) == ({"force_n": 1.0}, {})

@@ -537,9 +537,8 @@ def test_the_address_for_others_is_that_of_this_machine_on_their_way(monkeypatch
     link.connect.side_effect = [OSError("no route"), None] * 2
     link.getsockname.return_value = ("192.168.7.3", 40000)
     monkeypatch.setattr(socket, "socket", lambda *_family: link)
-    config = CellConfig(
-        serve={"listen": "0.0.0.0", "allow": ("10.0.0.0/8", "192.168.7.0/24")}
-    ).serve
+    allow = ("10.0.0.0/8", "192.168.7.0/24")
+    config = CellConfig(serve={"listen": "0.0.0.0", "allow": allow}).serve
     browsed = page_address({"http_port": 7, "view_token": "v"}, config, "view_token")
     assert (browsed, view_note(config)) == ("http://192.168.7.3:7/#token=v", "")
     asked = [call.args[0][0] for call in link.connect.call_args_list]

@@ -209,9 +209,8 @@ def test_the_rules_name_each_serial_port_and_keep_modem_manager_away(monkeypatch
         ),
         ({"tactile.interface": "slcan", "tactile.channel": "/dev/ttyUSB1"}, {"can": 1}),
     ):
-        config = small_config(
-            **with_axes({"interface": "slcan", "channel": "/dev/ttyACM3"}) | changes
-        )
+        axes = with_axes({"interface": "slcan", "channel": "/dev/ttyACM3"})
+        config = small_config(**axes | changes)
         rules = system_files(config, None)[RULES_FILE]
         for role, number in (lines | {"servos": 0, "roll": 4}).items():
             assert f'ENV{{DEVPATH}}=="*-{number}/*", SYMLINK+="tactile-cell/{role}"' in rules
@@ -553,14 +552,14 @@ def test_a_signal_first_stops_the_motion(meddle, run_serve, moment) -> None:
     pressed_n: list[float] = []
 
     def arrange(made: Any) -> None:
+        world = made.simulated.world
+
         def strike() -> None:
             os.kill(os.getpid(), signal.SIGTERM)
             until(lambda: made.controller.life.interrupted)  # the cell's time stands meanwhile
-            pressed_n.append(min(made.simulated.world.contact_force_n()))
+            pressed_n.append(min(world.contact_force_n()))
 
-        once(
-            made.simulated.clock, lambda: min(made.simulated.world.contact_force_n()) > 2.0, strike
-        )
+        once(made.simulated.clock, lambda: min(world.contact_force_n()) > 2.0, strike)
 
     def command(over: threading.Event, service: Any, _manager: Any) -> None:
         lease = service.lease.acquire("host")

@@ -519,9 +519,8 @@ def test_a_crop_reads_what_the_whole_reads(pads: PadArray) -> None:
 
 def test_scattered_taxels_are_refused() -> None:
     xy_m = np.array([[0, 0], [0, 1], [1, 0], [1, 1.5]]) * 3e-3
-    pads = PadArray(
-        pad_shape=np.array([[2, 2]]), taxel_pad=np.zeros(4), taxel_xy_m=xy_m, adc_max=255
-    )
+    shape, pad = np.array([[2, 2]]), np.zeros(4)
+    pads = PadArray(pad_shape=shape, taxel_pad=pad, taxel_xy_m=xy_m, adc_max=255)
     with pytest.raises(ContactError, match="2 x 2 taxels form no grid"):
         PadBed(pads, 0, 1e-3)
 

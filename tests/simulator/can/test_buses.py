@@ -114,9 +114,8 @@ def test_all_that_has_arrived_is_taken_at_once_as_one_by_one() -> None:
     step_s = mean_bits(data) * 1e-6
     echo.send(10.0, 0x185, [data] * 5)
     clock.sleep(2.5 * step_s)
-    assert [one.timestamp for one in bus.recv_all(9)] == pytest.approx(
-        [10 + step_s, 10 + 2 * step_s]
-    )
+    arrived_s = [message.timestamp for message in bus.recv_all(9)]
+    assert arrived_s == pytest.approx([10 + step_s, 10 + 2 * step_s])
     assert bus.recv_all(9) == []
     clock.sleep(1.0)
     assert len(bus.recv_all(2)) == 2

@@ -200,9 +200,8 @@ def test_slow_lines_and_return_delay_add_up():
     bench = ServoBench(baudrate=57600, settings={"baud_rate": 1, "return_delay_time": 250})
     expected_s = (16 + 2 * 21) * 10 / 57600 + 2 * 500e-6
     start_s = bench.clock.monotonic()
-    bench.stream.write(
-        encode_instruction(0xFE, Instruction.SYNC_READ, bytes((126, 0, 10, 0, 1, 2)))
-    )
+    asked = bytes((126, 0, 10, 0, 1, 2))
+    bench.stream.write(encode_instruction(0xFE, Instruction.SYNC_READ, asked))
     while bench.stream.read(256, 0.02):
         end_s = bench.clock.monotonic()
     assert end_s - start_s == pytest.approx(expected_s)

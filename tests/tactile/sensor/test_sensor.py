@@ -83,11 +83,8 @@ class Frames:
             counts = np.clip(np.rint(counts), 0, self.layout.adc_max).astype(np.uint16)
             counts[list(self.stuck)] = list(self.stuck.values())
             self.alter(counts)
-            frames.append(
-                TactileFrame(
-                    t_s=self.next_s, counter=self.counter, status=self.status, counts=counts
-                )
-            )
+            t_s, counter, status = self.next_s, self.counter, self.status
+            frames.append(TactileFrame(t_s=t_s, counter=counter, status=status, counts=counts))
             self.counter += 1
             self.next_s += 0.02
         return Arrivals(tuple(frames), self.new_forces())

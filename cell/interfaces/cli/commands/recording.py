@@ -11,7 +11,7 @@ from cell.archive.selection import cell_of, day_of, is_archive, parse_selection
 from cell.errors import CellError
 from cell.installation import extra
 from cell.interfaces.cli import options
-from cell.interfaces.cli.terminal import plain_text, print_line, print_table, show
+from cell.interfaces.cli.terminal import plain_text, print_line, print_note, print_table, show
 from cell.recording.dataset import read_grasps
 from cell.recording.reader import read_recording, recover_recording
 from cell.recording.retention import mark as mark_one, recordings
@@ -31,6 +31,8 @@ def list_recordings(
         marked = "yes" if file.marked else ""
         table.add_row(plain_text(str(file.path)), size, f"{written:%Y-%m-%d %H:%M}", marked)
     print_table(table)
+    if not table.row_count:
+        print_note(f"{folder} has no recordings")
 
 
 def mark(recordings: Annotated[list[Path], typer.Argument(help="Recordings (.mcap).")]) -> None:
