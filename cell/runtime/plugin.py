@@ -560,6 +560,8 @@ class TactileCellPlugin:
 
         Raises
         ------
+        RequestRefused
+            If it is another command.
         CellStateError
             If the state of the cell does not allow it, or another job runs.
         """
@@ -581,6 +583,8 @@ class TactileCellPlugin:
             Command.START: reset,
             Command.SHUTDOWN: controller.shutdown,
         }
+        if command not in works:
+            raise RequestRefused(f"{command} is no command of a host; see the tasks of `start`")
         needed = self._needed(command)
         return self._accept(lambda _report: works[needed](), needed, command.value)
 
@@ -729,7 +733,8 @@ class TactileCellPlugin:
         Raises
         ------
         CellStateError
-            If the mover calls this: a job cannot wait for its own end. Nothing changes.
+            If the thread of the cell calls this, as in ``on_progress``: a job cannot wait for its
+            own end. Nothing changes.
         TimeoutError
             If the running job does not end in time, e.g. because the mover does not return. Jobs
             are refused from then on; call this again to disconnect.
