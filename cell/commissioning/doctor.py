@@ -194,6 +194,8 @@ def _guarded(what: str, check: Callable[[], list[Finding]]) -> Iterator[Finding]
         if what not in (_TORQUE, "servos"):
             keys = "tactile.node_id, tactile.bitrate and tactile.sensor"
         advice = f"check power, cable, {keys}"
+        if what == "servos":
+            advice += "; `tactile-cell commission FOLDER --redo servos` sets up a new servo"
         if what == _TORQUE:
             advice += "; it is unknown whether a part is held: the servos keep their last goals"
         yield check_result(what, str(error), advice, bad=Verdict.FAIL)

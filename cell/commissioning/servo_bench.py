@@ -412,7 +412,7 @@ def scale(rig: Rig, dialog: Dialog) -> Values:
         rows = rig.watch(part, 1.0)
         if rig.read("hardware_error_status"):
             raise StepFailed(f"the servo has tripped at {current_a:.3f} A: let it cool")
-        torque_nm = weighed_nm(dialog, f"scale.{side}.{1e3 * current_a:.0f}", part)
+        torque_nm = weighed_nm(rig, dialog, f"scale.{side}.{1e3 * current_a:.0f}", part)
         share, register_a = abs(rows.pwm_share.mean()), abs(rows.current_a.mean())
         motor_a, volts = winding_a(rig, register_a, share), share * rows.voltage_v.mean()
         weighings.append((register_a, motor_a, torque_nm, share, volts))
@@ -431,9 +431,17 @@ def scale(rig: Rig, dialog: Dialog) -> Values:
     }
 
 
-def weighed_nm(dialog: Dialog, key: str, part: str) -> float:
-    """Ask for the reading of the scale in g, and return the torque at the horn in N m."""
-    weight_g = dialog.number(key, f"{part}: reading of the scale in g?", (-100.0, 20_000.0, "g"))
+def weighed_nm(rig: Rig, dialog: Dialog, key: str, part: str) -> float:
+    """Ask for the reading of the scale in g, and return the torque at the horn in N m.
+
+    Raises StepFailed as `Rig.sample`, while the person reads the scale.
+    """
+
+    def watch() -> str:
+        return f"{rig.sample(part).temperature_c:.0f} degC"
+
+    text, limits = f"{part}: reading of the scale in g?", (-100.0, 20_000.0, "g")
+    weight_g = dialog.number(key, text, limits, watch=watch)
     return weight_g * _N_PER_G * ARM_M
 
 
@@ -533,14 +541,14 @@ def watchdog(rig: Rig, dialog: Dialog) -> Values:
     """
     _press(rig, (0.07 if rig.model.supply_current else 0.1) * rig.model.stall_current_a)
     rig.watch("before the silence", 1.0)
-    before_nm = weighed_nm(dialog, "watchdog.before", "before the silence")
+    before_nm = weighed_nm(rig, dialog, "watchdog.before", "before the silence")
     rig.write(bus_watchdog=_WATCHDOG_RAW)
     rig.clock.sleep(_SILENT_S + _WATCHDOG_RAW * WATCHDOG_UNIT_S)
     values: Values = {
         f"{name}_after_silence": rig.read(name)
         for name in ("torque_enable", "bus_watchdog", "goal_current")
     }
-    after_nm = weighed_nm(dialog, "watchdog.after", "after the silence")
+    after_nm = weighed_nm(rig, dialog, "watchdog.after", "after the silence")
     return values | {"held_share": after_nm / before_nm if before_nm > 0.0 else None}
 
 

@@ -263,6 +263,8 @@ def _renumber(
         changes[BAUD_RATE.name] = (f"{servo.baud_rate} bit/s", f"{rate} bit/s")
         undo = "write the old values with the program of the servos' maker"
         dialog.approve(register_writes({old_id: changes}, undo, f" at {servo.baud_rate} bit/s"))
+        if (earlier := backup_file(bench.folder, new_id)).exists():  # of an exchanged servo
+            earlier.rename(free_name(earlier))
         keep(bench, dialog, new_id, table)
         if new_id != old_id:
             bus.write(old_id, SERVO_ID, new_id)

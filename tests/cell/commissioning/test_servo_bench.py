@@ -107,6 +107,16 @@ def test_an_arm_that_leaves_the_scale_ends_the_step(tmp_path, step) -> None:
     assert abs(bench.rig.log[-1].velocity_rad_s) < 2.5
 
 
+def test_an_arm_that_is_lifted_to_read_the_scale_ends_the_step(tmp_path) -> None:
+    bench = SimulatedBench()
+    someone = person(bench, "scale")
+    lift = lambda: bench.put("free") or bench.clock.sleep(0.3) or 0.0  # noqa: E731
+    someone.replies["scale.rising.828"] = lift
+    run_bench(bench.rig, someone, tmp_path)
+    assert "left the scale" in " ".join(someone.said)
+    assert bench.rig.log[-1].part == "rising 0.828 A"
+
+
 def truth(bench: SimulatedBench) -> dict[str, Any]:
     """Return what the steps should measure of the simulated servo."""
     model, drive = bench.rig.model, bench.motor.figures

@@ -84,7 +84,9 @@ def eeproms(stand: Stand) -> list[bytes]:
 
 
 def test_factory_new_servos_are_numbered_one_at_a_time(new, tmp_path) -> None:
+    backup_file(tmp_path, 1).write_text("of a servo that was exchanged")
     notes = new.passes(SERVOS)
+    assert (tmp_path / "backup-servo1.1.json").exists()
     script = new.person.script
     assert script.asked == ["servos.connect_one", "servos.connect_next"]
     assert "servo 2: id was 1, is now 2" in notes.corrected
