@@ -108,9 +108,7 @@ class ProcessorTime:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the option for the list."""
-    parser.addoption(
-        "--processor-times", metavar="FILE", help="write the processor time of each test"
-    )
+    parser.addoption("--processor-times", metavar="FILE", help="write the time of each test")
 
 
 def pytest_configure(config: pytest.Config) -> None:

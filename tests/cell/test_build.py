@@ -167,10 +167,8 @@ def test_a_paced_cell_lives_on_while_no_command_runs(make_bench) -> None:
 def test_servos_and_noise_are_as_the_config_says() -> None:
     keys = {"servos.gearing": "ideal", "servos.friction": [1.5, 1.0], "servos.kt": [0.8, 1.1]}
     keys |= {"noise_level": 0.5}
-    changes = {f"simulator.{key}": value for key, value in keys.items()}
-    settings = simulator_settings(
-        changed_config(CellConfig(), changes | {"tactile.bitrate": 500_000})
-    )
+    changes = {"tactile.bitrate": 500_000} | {f"simulator.{key}": keys[key] for key in keys}
+    settings = simulator_settings(changed_config(CellConfig(), changes))
     assert settings.noise_level == 0.5
     assert settings.unit.bitrate == 500_000
     with SimulatedCell(settings) as cell:

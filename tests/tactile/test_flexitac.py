@@ -41,9 +41,8 @@ def test_a_square_board_may_sit_either_way() -> None:
     for rows_along in (False, True):
         settings = FlexiTacSettings(rows=16, columns=16, rows_along=rows_along)
         with SimulatedCell(SimulatorSettings(layout=layout, boards=settings)) as cell:
-            source = make_source(
-                cell, profile=PROFILES["16x16"], layout=layout, rows_along=rows_along
-            )
+            profile = PROFILES["16x16"]
+            source = make_source(cell, profile=profile, layout=layout, rows_along=rows_along)
             source.start()
             cell.world.press(0, 0.01, -0.004, 5.0)  # type: ignore[union-attr]
             frame = run(cell, source, 0.2)[-1]

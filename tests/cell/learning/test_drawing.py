@@ -151,9 +151,8 @@ def test_virtual_grasps_and_sizes_follow_the_law_of_the_sensor(tactile) -> None:
     for grasp in grasps:
         pads_n = calibration.force_n(grasp.counts[-3:].mean(axis=0))
         for pad in (0, 1):
-            assert pads_n[grasp.pads.taxels_of(pad)].sum() == pytest.approx(
-                grasp.force_n[-1], rel=0.2
-            )
+            force_n = pads_n[grasp.pads.taxels_of(pad)].sum()
+            assert force_n == pytest.approx(grasp.force_n[-1], rel=0.2)
     read = shape_reader(config)
     for answer in map(read, grasps):
         assert 1e3 * answer.size_m == pytest.approx(9.5, abs=0.8)

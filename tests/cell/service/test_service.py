@@ -450,9 +450,8 @@ class Stored:
         )
 
     def fault(self, number: int, text: str) -> None:
-        self.state = SimpleNamespace(
-            n_faults=self.state.n_faults + 1, fault=text, fault_number=number
-        )
+        n_faults = self.state.n_faults + 1
+        self.state = SimpleNamespace(n_faults=n_faults, fault=text, fault_number=number)
 
     def add(self, part: Part) -> None:
         self.history.add(part.model_copy(update={"time_s": self.now_s}))

@@ -44,9 +44,8 @@ def test_the_cap_is_noticed_the_sooner_the_more_it_is_passed(over_n, at_most_s) 
     for i in range(2200):
         t_s = 0.005 * i
         force_n = SETTINGS.force_max_n + (over_n if t_s > 10.0 else -0.5) + draw.gauss(0.0, 0.3)
-        writer.note_force(
-            ForceSample(t_s=t_s, force_n=(force_n, force_n), lag_s=0.0015, noise_n=0.21)
-        )
+        sample = ForceSample(t_s=t_s, force_n=(force_n, force_n), lag_s=0.0015, noise_n=0.21)
+        writer.note_force(sample)
         if reported_s is None and writer.force_is_too_high():
             reported_s = t_s
     assert 10.0 < reported_s <= 10.0 + at_most_s

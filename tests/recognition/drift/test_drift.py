@@ -441,9 +441,8 @@ def test_two_self_zeros_undo_what_has_changed_for_each_grasp(train, fresh) -> No
     assert named(taught, told) >= named(taught, undrifted) - 0.05
     assert named(taught, told) > named(taught, later) + 0.1
     again = type(taught).from_arrays(taught.to_arrays())
-    assert again.posterior(told[0]).probability == pytest.approx(
-        taught.posterior(told[0]).probability
-    )
+    before, after = (model.posterior(told[0]).probability for model in (taught, again))
+    assert after == pytest.approx(before)
     # Following goes on within one session, and begins anew with another self-zero.
     followed = taught.follow(told[0]).follow(told[1])
     assert followed.grid.n_followed == 2

@@ -73,9 +73,8 @@ def test_at_rest_a_count_changes_in_a_quarter_of_the_samples_and_the_velocity_is
     assert 0.05 < min(changes) < 0.16
     assert sum(changes) / 10 == pytest.approx(0.28, abs=0.06)
     motor.stuck_at_rad = motor.angle_rad
-    assert {motor.torque_nm(STEP_S) or motor.sensed_count for _ in range(50)} == {
-        motor.sensed_count
-    }
+    stuck = motor.sensed_count
+    assert {motor.torque_nm(STEP_S) or motor.sensed_count for _ in range(50)} == {stuck}
 
 
 @pytest.mark.parametrize(

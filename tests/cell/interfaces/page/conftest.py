@@ -217,6 +217,7 @@ def open_page(browser: Any, request: pytest.FixtureRequest) -> Iterator[Callable
             )
             if line is not None:
                 line.join(page)
+                undo.callback(page.unroute_all, behavior="ignoreErrors")
             page.goto(url or fake.url)
             if command:
                 page.click("#command")

@@ -167,9 +167,8 @@ def test_a_plan_never_passes_its_set_point_and_ends_at_rest(force_n) -> None:
     sign = 1.0 if end_n > force_n else -1.0
     for setpoint_n in ramp(force_n, end_n, 20.0):
         before_n_s = plan.rate_n_s
-        plan.step(
-            PERIOD_S, setpoint_n, end_n, ramp_n_s=sign * 20.0, most_n_s=100.0, change_n_s2=800.0
-        )
+        rate_n_s = sign * 20.0
+        plan.step(PERIOD_S, setpoint_n, end_n, ramp_n_s=rate_n_s, most_n_s=100.0, change_n_s2=800.0)
         assert sign * plan.force_n <= sign * setpoint_n + 0.05
         assert sign * (plan.rate_n_s - before_n_s) <= 800.0 * PERIOD_S + 1e-9
     assert plan.force_n == pytest.approx(end_n, abs=1e-3)
