@@ -250,8 +250,8 @@ class ServoAxis(Axis):
 
     def _fault(self, error: int) -> errors.AxisFault:
         return errors.AxisFault(
-            f"{self.label} is at fault, hardware error {_names(error)}: remedy the cause. A "
-            "cleared servo restarts, without torque for a moment"
+            f"{self.label} is at fault, hardware error {_names(error)}: remedy the cause, "
+            "then clear with a reboot: the servo is without torque for a moment"
         )
 
 
