@@ -148,11 +148,7 @@ def alone_in(folder: Path, busy: CellError | None = None) -> Iterator[None]:
 
 
 def write_text(path: Path, text: str, *, error: type[CellError], what: str) -> None:
-    """Write a UTF-8 text file; see `write_atomically`. A missing folder is created."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as cause:
-        raise error(f"cannot write {what} to {path}: {_advice(cause, path.parent)}") from cause
+    """Write a UTF-8 text file; see `write_atomically`."""
     write_atomically(path, lambda file: file.write(text.encode()) and None, error=error, what=what)
 
 
@@ -378,9 +374,16 @@ def checked_label(label: str) -> str:
 
 
 def write_json(path: Path, kind: Format, content: Any, *, error: type[CellError]) -> None:
-    """Write a mapping or dataclass as JSON with format and checksum; see `write_text`."""
+    """Write a mapping or dataclass as JSON with format and checksum; see `write_text`.
+
+    A missing folder is created.
+    """
     values = {"format": str(kind), **json.loads(json_bytes(content))}
     text = json.dumps(values | {_CHECKSUM: _digest(values)}, indent=2) + "\n"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as cause:
+        raise error(f"cannot write {kind.what} to {path}: {_advice(cause, path.parent)}") from cause
     write_text(path, text, error=error, what=kind.what)
 
 

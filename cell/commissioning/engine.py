@@ -259,7 +259,7 @@ class Engine:
     def _store(self) -> None:
         content = {"steps": self.notes, "approved": self.approved}
         base = config_text(self.bench.base)
-        write_json(self.path, COMMISSIONING, content, error=CellError)
+        write_json(self.path, COMMISSIONING, content, error=CellError)  # it makes the folder
         write_text(self.bench.folder / BASE_NAME, base, error=CellError, what="first config")
         self._fill_bench()
 

@@ -31,7 +31,9 @@ from gripper.errors import ServoRejected
 from gripper.servos.verification import Requirement, requirements
 from gripper.values.servo_checks import hardware_error_names, overload_text
 
-SCAN_RATES = tuple(sorted(BAUD_CODES, key=lambda rate: rate not in (57600, 1_000_000)))
+_FACTORY_RATE = 57600
+"""Baud rate of a new servo."""
+SCAN_RATES = tuple(sorted(BAUD_CODES, key=lambda rate: rate not in (_FACTORY_RATE, 1_000_000)))
 """Order in which baud rates are scanned: at first those of the factory and of this package."""
 _BOOT_S = 1.0
 """Wait in s for new servos to boot."""
@@ -182,7 +184,8 @@ def _numbered(bench: Bench, dialog: Dialog, port: str, rate: int) -> list[ServoI
                 return placed
         bench.clock.sleep(_BOOT_S)
         seen = {servo.baud_rate for servo in (*scan.servos, *scan.shared)}
-        rates = [servo for servo in SCAN_RATES if servo in {rate, 57600, *seen, *scan.damaged}]
+        likely = {rate, _FACTORY_RATE, *seen, *scan.damaged}
+        rates = [scanned for scanned in SCAN_RATES if scanned in likely]
         scan = scan_servos(bench, port, dialog, rates)
         if not scan.servos and not scan.crowded:
             scan = scan_servos(bench, port, dialog)
@@ -263,7 +266,8 @@ def _renumber(
         changes[BAUD_RATE.name] = (f"{servo.baud_rate} bit/s", f"{rate} bit/s")
         undo = "write the old values with the program of the servos' maker"
         dialog.approve(register_writes({old_id: changes}, undo, f" at {servo.baud_rate} bit/s"))
-        if (earlier := backup_file(bench.folder, new_id)).exists():  # of an exchanged servo
+        earlier = backup_file(bench.folder, new_id)
+        if servo.baud_rate == _FACTORY_RATE and earlier.exists():  # it is of an exchanged servo
             earlier.rename(free_name(earlier))
         keep(bench, dialog, new_id, table)
         if new_id != old_id:

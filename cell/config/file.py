@@ -3,6 +3,7 @@
 import difflib
 import io
 import json
+import os
 import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
@@ -49,7 +50,9 @@ def changed_config(config: _Section, changes: Mapping[str, Any]) -> _Section:
             raise ConfigError(f"the config has no value {path!r}; {hint}")
         owner[last] = deepcopy(value)
     try:
-        return type(config).model_validate_json(json.dumps(values, default=str))
+        return type(config).model_validate_json(json.dumps(values, default=os.fspath))
+    except TypeError as error:
+        raise ConfigError(f"the changed config is not valid: {error}") from error
     except ValidationError as error:
         problems = "; ".join(
             f"{'.'.join(map(str, item['loc'])) or 'config'}: {_refusal(item)}"

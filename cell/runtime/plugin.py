@@ -477,7 +477,8 @@ class TactileCellPlugin:
             If its grasps are not available, or the cell is not IDLE.
         """
         self.model.check_extendable()
-        label = normalize("NFC", label)
+        if label not in self.model.objects():
+            label = normalize("NFC", label)
         if label not in self.model.objects():
             raise RequestRefused(f"{label!r:.80} is not taught")
         file = self._file
@@ -617,8 +618,8 @@ class TactileCellPlugin:
     def follow_real_time(self, speed: float = 1.0, clock: "Clock" = time) -> None:
         """Let the time of a simulated cell follow a real clock, for people who watch it.
 
-        It starts between two jobs. Before, virtual time runs as fast as the machine allows, and
-        stands still between two jobs. A real cell does not change.
+        It starts between two jobs, or at once in a callback of one. Before, virtual time runs as
+        fast as the machine allows, and stands still between two jobs. A real cell does not change.
 
         Parameters
         ----------

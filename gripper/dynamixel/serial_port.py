@@ -102,7 +102,7 @@ class SerialStream:
         self.path = path
         try:
             self._serial = serial.Serial(path, baudrate, timeout=0, exclusive=True)
-        except (*_PORT_ERRORS, ValueError) as error:
+        except (*_PORT_ERRORS, ValueError, OverflowError) as error:
             raise PortLost(_opening_failed(path, error)) from error
         # The driver hands bytes on at once; not every driver can.
         with suppress(ValueError, AttributeError, NotImplementedError, *_PORT_ERRORS):

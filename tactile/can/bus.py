@@ -170,7 +170,8 @@ class BulkSlcanBus(slcanBus):
             while data:
                 if not select.select([], [port], [], _SEND_TIMEOUT_S)[1]:
                     raise TimeoutError
-                data = data[os.write(port, data) :]
+                with suppress(BlockingIOError):  # another thread was faster
+                    data = data[os.write(port, data) :]
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         self._ask_for_flags()

@@ -395,6 +395,7 @@ def _write(path: Path, text: str) -> bool:
     print_line(text)
     if not _agreed(f"{'overwrite' if before else 'write'} {path}?"):
         return False
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, text, error=CellError, what="system file")
     path.chmod(0o644)
     return True
