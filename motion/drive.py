@@ -174,6 +174,7 @@ class Cia402Drive(Axis):
         self._heard_s = 0.0
         self._nmt_state = _OPERATIONAL
         self._surplus = 0
+        self._homed = False
         self._supervised = False
         self._target = 0
         bus.subscribe(self._client.tx_cobid, self._client.on_response)
@@ -230,7 +231,8 @@ class Cia402Drive(Axis):
             self._reset_fault()
         self._supervised = True
         self._enable()
-        if self.settings.homing is not None:
+        here = self.settings.homing is HomingMethod.HERE
+        if self.settings.homing is not None and not (here and self._homed):
             self._home(self.settings.homing)
         self._set_mode(ModeOfOperation.PROFILE_POSITION)
 
@@ -412,6 +414,7 @@ class Cia402Drive(Axis):
 
         failure = "has not found its home: check its switch"
         self._until(attained, failure, errors.HomingFailed, _STATE_S + travel_s)
+        self._homed = True
         self._write("Controlword", State402.CW_OPERATION_ENABLED)
 
     def _set_mode(self, mode: ModeOfOperation) -> None:
@@ -501,3 +504,4 @@ class Cia402Drive(Axis):
         self._heard_s = self._watch.clock.monotonic()
         # Some drives send a boot-up without data.
         self._nmt_state = data[0] & _STATE_BITS if data else _BOOT_UP
+        self._homed &= self._nmt_state != _BOOT_UP

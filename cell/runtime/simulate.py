@@ -61,10 +61,10 @@ def serve_simulated_cell(
         temporary = undo.enter_context(tempfile.TemporaryDirectory(prefix="tactile-cell-"))
         place = Path(temporary) if folder is None else folder.resolve()
         with raised_as(CellError, OSError, where="name another folder with --out"):
-            place.mkdir(parents=True, exist_ok=True)
+            (lock := place / ".running").mkdir(parents=True, exist_ok=True)
         # The links of its devices belong to one cell.
         running = f"another simulated cell is running in {place}: end it, or choose another folder "
-        undo.enter_context(alone_in(place, CellError(f"{running}with --out")))
+        undo.enter_context(alone_in(lock, CellError(f"{running}with --out")))
 
         def announce_with_config(announced: dict[str, Any]) -> None:
             path = place / "cell.yaml"

@@ -71,9 +71,8 @@ class DriveBench:
     supervised: list[float] = field(default_factory=list)
 
     def move(self, x_m: float) -> float:
-        return self.axes.move({"x": x_m}, lambda: self.supervised.append(self.clock.monotonic()))[
-            "x"
-        ]
+        note = self.supervised.append
+        return self.axes.move({"x": x_m}, lambda: note(self.clock.monotonic()))["x"]
 
     def second_drive(self) -> Callable[[], None]:
         """Let a drive with the same node-ID join the bus; returns what takes it off again."""

@@ -52,6 +52,9 @@ def test_every_way_of_homing_gives_true_positions(make_drive, homing, home) -> N
         assert bench.simulated.position == pytest.approx(x_m, abs=NEAR_M)
     gaps_s = [b - a for a, b in zip(bench.supervised, bench.supervised[1:], strict=False)]
     assert max(gaps_s) < 0.02  # the cell is looked after while an axis moves
+    bench.drive.prepare(reset=False)  # as after a fault of another axis
+    bench.move(0.0)
+    assert bench.simulated.position == pytest.approx(0.0, abs=NEAR_M)
 
 
 @pytest.mark.parametrize("x_m", [0.0201, -0.0201, float("nan"), float("inf")])

@@ -311,9 +311,8 @@ def test_no_plan_is_empty_and_no_pose_is_not_finite() -> None:
         plan(SequenceConfig(), 0, seed=0)
     with pytest.raises(ValueError, match="x_m"):
         Pose(x_m=math.nan)
-    assert str(Pose(x_m=1e-3, rotation_rad=math.pi)).startswith(
-        "x +1.0 mm, y +0.0 mm, rotation 180"
-    )
+    pose = str(Pose(x_m=1e-3, rotation_rad=math.pi))
+    assert pose.startswith("x +1.0 mm, y +0.0 mm, rotation 180")
 
 
 def test_a_ramp_of_the_config_has_equal_levels_up_to_the_wanted_force() -> None:

@@ -12,11 +12,10 @@ from gripper.mechanics.transmission import Transmission
 
 LINK = ParallelLinkage(link_m=0.06)
 OFFSET_M, SERVOS = st.floats(-0.005, 0.005), st.sampled_from([1, 2])
+RACK_M = st.floats(0.008, 0.03)
 LINKAGES = st.one_of(
     st.builds(ParallelLinkage, link_m=st.floats(0.04, 0.1), offset_m=OFFSET_M, n_servos=SERVOS),
-    st.builds(
-        RackPinion, pinion_radius_m=st.floats(0.008, 0.03), offset_m=OFFSET_M, n_servos=SERVOS
-    ),
+    st.builds(RackPinion, pinion_radius_m=RACK_M, offset_m=OFFSET_M, n_servos=SERVOS),
 )
 
 
