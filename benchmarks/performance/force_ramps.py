@@ -302,11 +302,11 @@ class Rig:
 class PlainPi:
     """PI on the force, with friction as feed-forward by the direction, and a reset at rest.
 
-    It stands in the place of the gripper's own law. Its figures are the best of 23 sets on other
-    servos: with more friction in the hold the fingers of some grippers swing off the part.
+    It stands in the place of the gripper's own law, and was tuned by hand on other servos. With
+    more friction in the hold the fingers of some grippers swing off the part.
     """
 
-    gain, integral_per_s, mean_s, rest_n = 0.2, 3.0, 0.04, 0.3
+    gain, integral_per_s, mean_s, rest_n = 0.2, 1.5, 0.02, 0.3
     ramp_share, hold_share = 0.8, 0.5
 
     def __init__(self, grip: Grip, now_s: float, **_stiffness: float) -> None:
