@@ -252,7 +252,7 @@ class CellConfig(Section):
     def _check_axes(self) -> None:
         """Refuse axes that do not fit the sequence or the sensor."""
         positioner, can, tactile = self.positioner, self.positioner.can, self.tactile
-        positioner.check_sequence(self.sequence)
+        positioner.check_poses(self.sequence, self.sort)
         shared = (can.interface, can.channel) == (tactile.interface, tactile.channel)
         if not (shared and positioner.drives and tactile.sensor.on_can) or self.simulated:
             return

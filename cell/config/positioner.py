@@ -171,19 +171,24 @@ class PositionerConfig(Section):
         servos = [axis.port for axis in self.axes if isinstance(axis, ServoAxisConfig)]
         return (*([self.can.interface] if self.drives else []), *servos)
 
-    def check_sequence(self, sequence: SequenceConfig) -> None:
-        """Check that the axes can follow a sequence. Raises ValueError."""
+    def check_poses(self, sequence: SequenceConfig, sort: "SortConfig") -> None:
+        """Check that the axes reach the poses of a sequence and of places. Raises ValueError."""
         if self.kind != "axes":
             return
         limits: dict[str, Range] = {axis.moves: (axis.low, axis.high) for axis in self.axes}
-        for name, (low, high) in sequence.ranges.items():
-            moves = name.partition("_")[0]
+        asked = {f"sequence.{name}": value for name, value in sequence.ranges.items()}
+        poses = {f"sort.places[{i}].pose": place.pose for i, place in enumerate(sort.places)}
+        for key, pose in (poses | {"sort.reject_pose": sort.reject_pose}).items():
+            values = {} if pose is None else pose.model_dump()
+            asked |= {f"{key}.{name}": (value, value) for name, value in values.items()}
+        for key, (low, high) in asked.items():
+            moves = key.rpartition(".")[2].partition("_")[0]
             least, most = limits.get(moves, (0.0, 0.0))
             if moves != "force" and not least <= low <= high <= most:
                 reason = f"its axis goes from {least:g} to {most:g}"
                 if moves not in limits:
-                    reason = "no axis moves it: write [0, 0]"
-                raise ValueError(f"sequence.{name} asks for {low:g} to {high:g}; {reason}")
+                    reason = "no axis moves it: write 0"
+                raise ValueError(f"{key} asks for {low:g} to {high:g}; {reason}")
 
 
 class PlacePoseConfig(Section):

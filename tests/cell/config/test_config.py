@@ -313,12 +313,10 @@ SLOW_FRAMES = {"tactile.force_period_ms": 0, "tactile.sync_period_ms": 45.0}
             "sequence.x_mm asks for -2 to 2; its axis goes from -6 to 1",
         ),
         (ASKED, "sequence.y_mm asks for 1 to 1; no axis moves it"),
+        ({"sort.reject_pose": {"x_mm": -18.0}}, "sort.reject_pose.x_mm asks for -18"),
         (WEAK | {"sequence.force_n": [0.7, 2.0]}, "gripper: moving the fingers takes"),
         (SLOW_FRAMES, "needs a frame every 40 ms: lower it, or set tactile.force_period_ms"),
-        (
-            positioner(X, TURNED, WRIST, can={"interface": "slcan"}),
-            "must all be `simulated` or all be real",
-        ),
+        (positioner(X, TURNED, WRIST, can={"interface": "slcan"}), "must all be `simulated` or"),
         (
             REAL | positioner(X, TURNED, WRIST | {"port": "/dev/ttyUSB0"}, can=ON_CAN1),
             "gripper.port and port of the axis roll are /dev/ttyUSB0",
