@@ -43,7 +43,7 @@ from gripper.mechanics.transmission import Mechanics
 from gripper.servos.goal_limits import OPENING_MARGIN_RAD
 from gripper.servos.group import Servos
 from gripper.servos.watchdog_proof import prove_watchdog
-from gripper.settings import GripperSettings, check_number
+from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSensor
 from gripper.values.outcome import GraspOutcome, GraspResult, ReleaseReport
 from gripper.values.servo_checks import ServoCondition, VerificationReport, VerificationRow
@@ -359,7 +359,8 @@ class Gripper:
             As `hold`.
         """
         control = self._held_control("hold_at")
-        check_number("duration_s", duration_s, low=0.0)
+        if not duration_s >= 0.0:
+            raise LimitExceeded(f"duration_s is {duration_s}, must be at least 0")
         ramp = ForceRamp.linear(force_n, HOLD_AT_RATE_N_S, start_n=control.grip.setpoint_n)
         self.check_ramp(ramp)
         self._carried = None

@@ -31,12 +31,13 @@ def check_number(
 ) -> float:
     """Return a value; raise LimitExceeded when it is not finite or outside its range."""
     bounds = [
-        (value >= low, f"at least {low:g}"),
-        (value > above, f"above {above:g}"),
-        (value <= high, f"at most {high:g}"),
+        (value >= low, "at least", low),
+        (value > above, "above", above),
+        (value <= high, "at most", high),
     ]
-    if not isfinite(value) or not all(ok for ok, _ in bounds):
-        why = " and ".join(text for ok, text in bounds if not (ok or "inf" in text)) or "a number"
+    if not isfinite(value) or not all(ok for ok, _, _ in bounds):
+        broken = [f"{word} {limit:g}" for ok, word, limit in bounds if not ok and isfinite(limit)]
+        why = " and ".join(broken) or "a number"
         raise LimitExceeded(f"{name} is {value}, must be finite and {why}")
     return value
 

@@ -71,7 +71,7 @@ class Part(BaseModel):
     @computed_field  # type: ignore[prop-decorator]
     @property
     def probability(self) -> float:
-        """Probability of the label, see `recognition.answer_probability`; 0 before the answer."""
+        """Probability of the label, see `answer_probability`; 0 before the answer."""
         return answer_probability(self.label, self.probabilities) if self.probabilities else 0.0
 
     @computed_field  # type: ignore[prop-decorator]

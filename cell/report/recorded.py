@@ -85,7 +85,7 @@ class Answered:
 
     @property
     def share(self) -> float:
-        """Probability of the answer, see `recognition.answer_probability`."""
+        """Probability of the answer, see `answer_probability`."""
         return answer_probability(self.label, self.fused.probabilities)
 
     @property

@@ -477,9 +477,9 @@ class TactileCellPlugin:
             If its grasps are not available, or the cell is not IDLE.
         """
         self.model.check_extendable()
-        if label not in self.model.objects():
-            label = normalize("NFC", label)
-        if label not in self.model.objects():
+        taught = self.model.objects()
+        label = label if label in taught else normalize("NFC", label)
+        if label not in taught:
             raise RequestRefused(f"{label!r:.80} is not taught")
         file = self._file
 
