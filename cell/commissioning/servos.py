@@ -266,9 +266,6 @@ def _renumber(
         changes[BAUD_RATE.name] = (f"{servo.baud_rate} bit/s", f"{rate} bit/s")
         undo = "write the old values with the program of the servos' maker"
         dialog.approve(register_writes({old_id: changes}, undo, f" at {servo.baud_rate} bit/s"))
-        earlier = backup_file(bench.folder, new_id)
-        if servo.baud_rate == _FACTORY_RATE and earlier.exists():  # it is of an exchanged servo
-            earlier.rename(free_name(earlier))
         keep(bench, dialog, new_id, table)
         if new_id != old_id:
             bus.write(old_id, SERVO_ID, new_id)
@@ -414,9 +411,10 @@ def backup_file(folder: Path, servo_id: int) -> Path:
 
 
 def keep(bench: Bench, dialog: Dialog, servo_id: int, registers: Mapping[str, int]) -> None:
-    """Write the backup of a servo, and name its file; a backup of the same model stays.
+    """Write the backup of a servo, and name its file; the backup of the same servo stays.
 
-    A backup of another model belongs to an exchanged servo, and is kept under another name.
+    If the servo has another model, or the baud rate of the factory, the backup belongs to an
+    exchanged servo, and is kept under another name.
 
     Parameters
     ----------
@@ -427,7 +425,8 @@ def keep(bench: Bench, dialog: Dialog, servo_id: int, registers: Mapping[str, in
     """
     path = backup_file(bench.folder, servo_id)
     if earlier := read_backup(path):
-        if earlier[MODEL_NUMBER.name] == registers[MODEL_NUMBER.name]:
+        new = registers[BAUD_RATE.name] == BAUD_CODES[_FACTORY_RATE]
+        if not new and earlier[MODEL_NUMBER.name] == registers[MODEL_NUMBER.name]:
             return
         path.rename(free_name(path))
     content = {"servo_id": servo_id, "registers": registers}

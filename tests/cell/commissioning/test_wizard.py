@@ -84,7 +84,8 @@ def eeproms(stand: Stand) -> list[bytes]:
 
 
 def test_factory_new_servos_are_numbered_one_at_a_time(new, tmp_path) -> None:
-    backup_file(tmp_path, 1).write_text("of a servo that was exchanged")
+    exchanged = {"servo_id": 1, "registers": {"model_number": 1020}}
+    write_json(backup_file(tmp_path, 1), SERVO_BACKUP, exchanged, error=CellError)
     notes = new.passes(SERVOS)
     assert (tmp_path / "backup-servo1.1.json").exists()
     script = new.person.script
