@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from math import degrees
 
@@ -230,7 +230,7 @@ class Axes:
     def clear_faults(self, *, reboot: bool) -> None:
         """Clear the faults of all devices, also those of an earlier program; nothing moves.
 
-        Raises MotionError if a device does not answer or stays at fault.
+        Raises MotionError if a device does not answer or stays at fault; the others are cleared.
 
         Parameters
         ----------
@@ -238,8 +238,10 @@ class Axes:
             True to restart servos at fault, which drop their load.
         """
         self.ready = False
-        for axis in self._axes.values():
-            axis.clear_fault(reboot=reboot)
+        # The stack calls each of them, also after the error of another.
+        with ExitStack() as calls:
+            for axis in self._axes.values():
+                calls.callback(axis.clear_fault, reboot=reboot)
 
     def move(
         self, targets: Mapping[str, float], supervise: Callable[[], None] = unwatched

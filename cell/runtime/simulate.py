@@ -20,6 +20,7 @@ from simulator.realtime.process import serve
 _LEAST_LIMITS = (
     ("tactile", "heartbeat_ms", 400),
     ("tactile", "silence_ms", 200.0),
+    ("tactile", "loss_max_share", 0.5),
     ("gripper", "force_stale_ms", 300.0),
     ("gripper", "bus_loss_ms", 250.0),
     ("gripper", "feedback_loss_max_share", 0.5),

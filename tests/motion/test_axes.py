@@ -188,15 +188,14 @@ def test_a_wrist_is_refused_that_is_another_or_stands_outside(make_wrist) -> Non
 
 
 def test_faults_of_an_earlier_program_are_cleared_without_motion(make_wrist, make_drive) -> None:
-    bench = make_drive()
+    bench, wrist = make_drive(), make_wrist()
+    both = Axes([wrist.servo, bench.drive], bench.drive._watch)
     bench.simulated.fail(0x2310)
-    bench.axes.clear_faults(reboot=False)
-    assert bench.simulated.state == "SWITCH ON DISABLED"
-    bench.move(0.0)
-    wrist = make_wrist()
     wrist.simulated.servo.plant.overload()
     wrist.clock.sleep(0.1)
     with pytest.raises(AxisFault, match="hardware error overload"):
-        wrist.axes.clear_faults(reboot=False)
-    wrist.axes.clear_faults(reboot=True)
+        both.clear_faults(reboot=False)
+    assert bench.simulated.state == "SWITCH ON DISABLED"
+    both.clear_faults(reboot=True)
+    bench.move(0.0)
     wrist.move(1.0)

@@ -99,9 +99,11 @@ def clear(
             cell.controller.life.clear(reboot=reboot)
             after = cell.controller.hand.conditions()
             if cell.axes is not None:
-                cell.axes.clear_faults(reboot=reboot)
-                for name, state in cell.axes.inspect().items():
-                    print_line(f"{checked.name}: {name} is in {state}")
+                try:
+                    cell.axes.clear_faults(reboot=reboot)
+                finally:
+                    for name, state in cell.axes.inspect().items():
+                        print_line(f"{checked.name}: {name} is in {state}")
     except ServoFault as error:
         raise CellError(f"{error}: {clear_command(config)}") from error
     except MotionError as error:
