@@ -188,9 +188,9 @@ class CellController:
         """
         self._may_release(Command.RELEASE_HELD)
         self.life.go(Event.RELEASE_HELD)
-        self.hand.stop_sensor()
         self.journal.note("release", "on request, before the start")
         with self.life.latching_faults():
+            self.hand.stop_sensor()
             # Not recorded: a recording that has failed must not keep the part.
             report = self.hand.release(lambda *_period: self.life.check_cancelled())
             self.life.complete()
