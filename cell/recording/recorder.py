@@ -131,7 +131,10 @@ class Recorder:
         if fault is None and self._sink.tell() < LONG_BYTES:
             return False
         try:
-            if self._sink.busy or free_bytes(self._first_path.parent) < ROOM_BYTES:
+            if self._sink.busy:
+                return False
+            self._first_path.parent.mkdir(exist_ok=True)  # somebody may have removed it
+            if free_bytes(self._first_path.parent) < ROOM_BYTES:
                 return False
             if fault is not None and not self._n_frames:
                 self.path.unlink(missing_ok=True)

@@ -124,8 +124,6 @@ class RecordingSink:
             self._queue.task_done()
         with self._noted(), os.fdopen(self._handle, "wb"):
             os.fsync(self._handle)
-            if os.fstat(self._handle).st_nlink == 0:
-                raise FileNotFoundError(errno.ENOENT, "the file was removed while it was written")
 
     def _write_whole(self, data: bytes) -> None:
         """Write all bytes, or none and raise OSError."""
@@ -133,6 +131,8 @@ class RecordingSink:
         try:
             while rest:
                 rest = rest[os.write(self._handle, rest) :]
+            if os.fstat(self._handle).st_nlink == 0:
+                raise FileNotFoundError(errno.ENOENT, "the file was removed while it was written")
             free = free_bytes(self._handle)
         except OSError:
             os.ftruncate(self._handle, self._length)
