@@ -18,6 +18,8 @@ DRAWING_SOURCE = "drawing"
 SERIES_PAUSE_MS = 3_600_000
 """Least pause in ms between two grasps of one object that begins a new series."""
 
+QUIET_FRAMES = 3
+"""Frames at the start of a grasp in which the pads count as untouched, if their load is small."""
 _FARTHEST_ZERO_M = 0.05
 """Largest zero of an opening in m: far beyond that of any hand."""
 _SAME_PLACE_M = 1e-6
@@ -266,6 +268,12 @@ class Grasp:
     def n_frames(self) -> int:
         """Number of frames."""
         return len(self.counts)
+
+    @property
+    def rest_counts(self) -> NDArray[np.float64]:
+        """(n_taxels,) float64: mean counts of the first frames, before the first touch."""
+        rest: NDArray[np.float64] = self.counts[:QUIET_FRAMES].mean(axis=0)
+        return rest
 
     @property
     def commanded(self) -> bool:

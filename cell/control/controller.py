@@ -8,7 +8,7 @@ from typing import TypeVar
 from cell.config.model import CellConfig
 from cell.control.identification import EarlyDecider, Identification, Judge, OnGrasp, ReadShape
 from cell.control.journal import Journal
-from cell.control.kept_part import KeptPart, open_counts
+from cell.control.kept_part import KeptPart
 from cell.control.lifecycle import UNTIL_RELEASED, CellLifecycle
 from cell.control.moves import Moves
 from cell.control.plan import GraspStep, Keep, Pose
@@ -273,7 +273,7 @@ class CellController:
                 self.hand.release(self._watch.motion)
                 self.life.complete()
             else:
-                self.kept_part.measure(open_counts(record.grasp))
+                self.kept_part.measure(record.grasp.rest_counts)
                 self.life.keep(since="grip")
         self._check_record(record)
         return record
@@ -446,7 +446,7 @@ class CellController:
 
     def _judged(self, record: GraspRecord, judge: Judge) -> bool:
         """Hold the part until it is judged; return whether it was kept."""
-        first, zero = record, open_counts(record.grasp)
+        first, zero = record, record.grasp.rest_counts
         self.kept_part.wanted_force_n = self._config.sequence.carry_force_n
         while True:
             if judge.keeps:

@@ -14,7 +14,6 @@ from cell.control.states import Event
 from cell.control.watch import MotionWatch
 from cell.control.zeroing import BORNE_SHARE
 from cell.hand.interface import Hand
-from recognition.grasp import Grasp
 
 HELD_LOOK_S = 0.1
 """Time in s over which a held part is measured: 5 frames at 50 Hz."""
@@ -27,8 +26,6 @@ _LIKENESS = 0.95
 """Least similarity of two footprints: cosine of the angle between the taxels' counts, corrected for
 noise. In the simulated cell the same part has at least 0.99 (45 measurements of 15 parts; 0.97 with
 twice the noise). Five parts in another pose have at most 0.94 (210 pairs)."""
-_OPEN_FRAMES = 5
-"""Number of first frames of a grasp, before the first touch; their mean is the zero."""
 _LOSS_DECIDED_S = 0.5
 """Time in s within which the supervision of a hold decides whether a part is lost."""
 
@@ -60,12 +57,6 @@ def measure_held_part(collector: GraspCollector, zero: NDArray[np.float64]) -> H
         footprint=collector.counts.mean(axis=0) - zero,
         noise=float(collector.counts.var(axis=0).sum()) / max(collector.n_frames - 1, 1),
     )
-
-
-def open_counts(grasp: Grasp) -> NDArray[np.float64]:
-    """Return the counts of the open fingers, (n_taxels,): the mean of a grasp's first frames."""
-    first: NDArray[np.float64] = grasp.counts[:_OPEN_FRAMES].mean(axis=0)
-    return first
 
 
 def compared(now: HeldPart, then: HeldPart) -> Verification:

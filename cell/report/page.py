@@ -149,13 +149,14 @@ def timeline_figure(cycles: Rows) -> "Figure":
 def grasp_figure(grasp: Grasp, title: str) -> "Figure":
     """Draw loads of the gripping pads, opening and force over time, and the pads at most load.
 
-    Raises MissingExtraError without matplotlib.
+    The load is counts above rest. Raises MissingExtraError without matplotlib.
     """
+    counts = grasp.counts - grasp.rest_counts
     loads = np.array(
-        [grasp.counts[:, grasp.pads.taxels_of(pad)].sum(axis=1) for pad in range(grasp.pads.n_pads)]
+        [counts[:, grasp.pads.taxels_of(pad)].sum(axis=1) for pad in range(grasp.pads.n_pads)]
     )
     gripping = sorted(np.argsort(-np.ptp(loads, axis=1), kind="stable")[:2].tolist())
-    largest = grasp.counts[int(loads[gripping].sum(axis=0).argmax())]
+    largest = counts[int(loads[gripping].sum(axis=0).argmax())]
     with drawing():
         figure = new_figure(8.0, 5.0)
         figure.suptitle(title.replace("$", r"\$"))

@@ -314,14 +314,15 @@ def _grasp_view(recording: Recording, label: str, number: int) -> dict[str, Any]
 def pressure_view(grasp: Grasp, names: Sequence[str], gripping: Sequence[int]) -> dict[str, Any]:
     """Return the touched pads at four equal steps of the force ramp, all on one scale.
 
-    Each is the mean of the frames nearest to its force, the set-point. ``names`` are those of all
-    pads; those of the numbers ``gripping`` are always drawn.
+    Each is the mean of the frames nearest to its force, the set-point, above rest. ``names`` are
+    those of all pads; those of the numbers ``gripping`` are always drawn.
     """
     pads, levels = grasp.pads, []
     for wanted_n in np.linspace(0, float(grasp.force_n.max()), _LEVELS + 1)[1:]:
         # Of equally near frames take the later ones: their pressure has settled.
         near = np.lexsort((-np.arange(grasp.n_frames), np.abs(grasp.force_n - wanted_n)))
-        levels.append((wanted_n, grasp.counts[near[:_LEVEL_FRAMES]].mean(axis=0)))
+        counts = grasp.counts[near[:_LEVEL_FRAMES]].mean(axis=0) - grasp.rest_counts
+        levels.append((wanted_n, counts))
     full = max(1.0, *(float(counts.max()) for _, counts in levels))
     taxels = [pads.taxels_of(number) for number in range(pads.n_pads)]
     least, last = UNTOUCHED_SHARE * pads.adc_max, levels[-1][1]

@@ -13,11 +13,9 @@ from scipy import ndimage
 from scipy.ndimage import uniform_filter1d
 
 from recognition.errors import ContactError
-from recognition.grasp import Grasp, PadArray
+from recognition.grasp import QUIET_FRAMES, Grasp, PadArray
 from recognition.records import ArrayRecord
 
-QUIET_FRAMES = 3
-"""Frames at the start of a grasp in which the pads count as untouched, if their load is small."""
 _STARTS_TOUCHED = 0.25
 """Share of a pad's largest load above which its first frames count as loaded."""
 _SPIKE_SHARE = 0.2
@@ -137,7 +135,7 @@ def learn_rest(grasps: Sequence[Grasp], *, most_pads: int | None = None) -> Rest
             f"the grasps have {usual} frames in the median, at least {_LEAST_FRAMES} are needed: "
             "record whole ramps, from rest to load"
         )
-    first = np.stack([g.counts[:QUIET_FRAMES].mean(axis=0) for g in grasps])
+    first = np.stack([g.rest_counts for g in grasps])
     rest = np.median(first, axis=0)
     taxels = [pads.taxels_of(pad) for pad in range(pads.n_pads)]
     noise = np.array([np.median([_spread(g, t) for g in grasps]) for t in taxels])

@@ -165,10 +165,11 @@ def test_darker_shade_means_more_pressure_and_a_touched_side_is_drawn(recording)
     most_n = grasp.force_n.max()
     forces = [f"{share * most_n:.1f} N" for share in (0.25, 0.5, 0.75, 1.0)]
     assert [force for force, *_ in view["levels"]] == forces
-    assert view["levels"][-1][1] == pytest.approx(grasp.counts[-5:].mean(axis=0).max())
+    pressed = grasp.counts[-5:].mean(axis=0) - grasp.rest_counts
+    assert view["levels"][-1][1] == pytest.approx(pressed.max())
     assert view["n_untouched"] == 8
     side = np.array(grasp.counts)
-    side[:, LAYOUT.taxels_of(2).start + 3] = 80
+    side[9:, LAYOUT.taxels_of(2).start + 3] = 80
     touched = pressure_view(replace(grasp, counts=side), names, gripping)
     for one, names in ((view, INNER), (touched, [INNER[0], "finger0.side_a", INNER[1]])):
         assert all([name for name, _ in pads] == names for *_, pads in one["levels"])
