@@ -6,6 +6,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from shutil import rmtree
 from typing import Any
 
 from rich.table import Table
@@ -290,13 +291,15 @@ def job_folder(directory: Path, job: str) -> Path:
 
 @contextmanager
 def removed_if_unused(folder: Path | None) -> Iterator[None]:
-    """Remove a job's folder again if the job does not start: a service is started many times."""
+    """Remove a job's folder, and an empty recording, if the job does not start.
+
+    A service manager starts a service many times.
+    """
     try:
         yield
     except BaseException:
-        with suppress(OSError):  # it has a recording
-            if folder is not None:
-                folder.rmdir()
+        if folder is not None:
+            rmtree(folder, ignore_errors=True)
         raise
 
 

@@ -418,9 +418,7 @@ echo "Authorization: Bearer {PRINTED}"
 
 
 @pytest.fixture
-def cell(
-    serve: Any, make_bench: MakeBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Served:
+def cell(serve: Any, make_bench: MakeBench, tmp_path: Path, monkeypatch: Any) -> Served:
     """A service with secrets, a recording with a fault, a journal with tokens, and its config."""
     (tmp_path / "token").write_text(TOKEN)
     (tmp_path / "secret").write_text(SECRET)
@@ -615,7 +613,10 @@ def test_a_service_that_does_not_start_leaves_no_folder(tmp_path) -> None:
     (tmp_path / "cell.yaml").write_text(SMALL.format(zero="never", kind="operator"))
     asked = ["serve", "-c", str(tmp_path / "cell.yaml"), "--http", "0", "--out", str(tmp_path)]
     assert "no terminal to ask at" in str(CliRunner().invoke(app, asked).exception)
-    assert [path.name for path in tmp_path.iterdir()] == ["cell.yaml"]
+    (tmp_path / "cell.yaml").write_text(SMALL.format(zero="never", kind="simulated"))
+    asked += ["--token-file", "nofile"]
+    assert "nofile" in str(CliRunner().invoke(app, asked).exception)
+    assert not [*tmp_path.glob("serve-*")]
 
 
 @pytest.mark.parametrize("file", [False, True])

@@ -6,7 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Mapping
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing, suppress
 from math import inf
 from pathlib import Path
 from typing import Annotated, Any
@@ -169,33 +169,37 @@ def serve(
         model = model_of_folder(model)
     untaught = config is None and model is None and training_set is None
     files: dict[str, Any] = {"training_set": training_set, "save": save, "folder": folder}
-    with removed_if_unused(folder):
+    with ExitStack() as unused:
+        unused.enter_context(removed_if_unused(folder))
         service = open_service(checked, model=model, note=print_note, start=False, **files)
 
-    def stop() -> None:
-        service.plugin.interrupt()  # first, so that each motion stops at once
-        over.set()
+        def stop() -> None:
+            service.plugin.interrupt()  # first, so that each motion stops at once
+            over.set()
 
-    with (
-        stopping(stop, left=NOTHING_LET_GO),
-        closing(service),
-        suppress(CellStopped),
-        # Before anything moves, so that a used port or a bad token file ends it here.
-        open_interfaces(service) as interfaces,
-    ):
-        try:
-            _connect(service)
-            _announce(service, interfaces)
-            if untaught:
-                _teach_first(service, over)
-            service.plugin.follow_real_time(speed)
-            manager = ServiceManager()
-            manager.send("READY=1")
-            report_until(over, service, manager)
-            manager.send("STOPPING=1")
-        finally:
-            if config is not None and service.plugin.status().holding:
-                print_note(f"a part may be in the grip; to release it: {release_command(config)}")
+        with (
+            stopping(stop, left=NOTHING_LET_GO),
+            closing(service),
+            suppress(CellStopped),
+            # Before anything moves, so that a used port or a bad token file ends it here.
+            open_interfaces(service) as interfaces,
+        ):
+            unused.pop_all()
+            try:
+                _connect(service)
+                _announce(service, interfaces)
+                if untaught:
+                    _teach_first(service, over)
+                service.plugin.follow_real_time(speed)
+                manager = ServiceManager()
+                manager.send("READY=1")
+                report_until(over, service, manager)
+                manager.send("STOPPING=1")
+            finally:
+                if config is not None and service.plugin.status().holding:
+                    print_note(
+                        f"a part may be in the grip; to release it: {release_command(config)}"
+                    )
 
 
 def _connect(service: Service) -> None:
