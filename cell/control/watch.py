@@ -9,7 +9,7 @@ from cell.control.lifecycle import CellLifecycle
 from cell.control.records import GraspCollector
 from cell.hand.interface import OnPeriod
 from gripper.values.state import Cycle
-from recognition.grasp import PadArray, SelfZero
+from recognition.grasp import SERIES_PAUSE_MS, PadArray, SelfZero
 from tactile.source import TactileFrame
 
 
@@ -42,8 +42,10 @@ class MotionWatch:
 
     def collecting(self, zero: SelfZero | None = None) -> tuple[GraspCollector, OnPeriod]:
         """Return a collector for a motion that begins now, and the callback that fills it."""
-        # The grasps of a run stay in order even if the machine's clock is set back.
-        self._last_start_ms = max(time.time_ns() // 1_000_000, self._last_start_ms + 1)
+        # The grasps stay in order if the machine's clock is set back by less than an hour. More
+        # corrects a wrong day.
+        now_ms, next_ms = time.time_ns() // 1_000_000, self._last_start_ms + 1
+        self._last_start_ms = next_ms if now_ms < next_ms < now_ms + SERIES_PAUSE_MS else now_ms
         collector = GraspCollector(
             self.pads, source=self.source, start_ms=self._last_start_ms, zero=zero
         )
