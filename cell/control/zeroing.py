@@ -150,8 +150,8 @@ class SelfZeros:
         if self._last is None or self.when == "never" or self.newest is not None:
             return ""
         return (
-            "the self-zero is older than a day: answers allow for any drift. Take everything out "
-            f"of the grip, then {_MEASURE}"
+            "the self-zero is older than a day by this machine's clock: answers allow for any "
+            f"drift. Take everything out of the grip, then {_MEASURE}"
         )
 
     @property
@@ -396,7 +396,9 @@ class Zeroing:
     @property
     def note(self) -> str:
         """Why there is no self-zero, or why it was not saved for other programs; else empty."""
-        return self.missed or self.zeros.unkept or self.zeros.refused or self.zeros.expired
+        before_it = self.taxels is None and self.zeros.due  # the first start measures it
+        expired = "" if before_it else self.zeros.expired
+        return self.missed or self.zeros.unkept or self.zeros.refused or expired
 
     @property
     def drives(self) -> dict[int, DriveCharacteristic]:
