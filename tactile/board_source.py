@@ -83,7 +83,7 @@ class Board:
     def loss_rate(self) -> float:
         """Share of its newest frames that were damaged; 0 until there are enough."""
         n = len(self.sound)
-        return 1.0 - sum(self.sound) / n if n == self.sound.maxlen else 0.0
+        return (n - sum(self.sound)) / n if n == self.sound.maxlen else 0.0
 
     @property
     def trouble(self) -> str:
