@@ -145,8 +145,8 @@ def measure_rest(bench: Bench, dialog: Dialog, notes: Notes) -> None:
     notes.settings["tactile.board_serial_numbers"] = None if alike else list(boards)
     if alike:
         notes.warn(
-            "The boards of both fingers have the same serial number, so exchanged pads are not "
-            "detected: press each pad after every work on their cables."
+            "The boards of both fingers have no different serial numbers, so exchanged pads are "
+            "not detected: press each pad after every work on their cables."
         )
     notes.values["board_serial_numbers"] = list(boards)
 

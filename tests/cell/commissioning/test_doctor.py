@@ -119,7 +119,7 @@ def other_model(simulated: Any) -> None:
         ("unit.stuck", "noise of the taxels", WARN, "0 of 408 change at rest", "press"),
         ("unit.off", "control unit", FAIL, "did not boot", "tactile.node_id, tactile.bit"),
         ("servo2.off", "servos", FAIL, "servo 2", "gripper.servos[].id and gripper.baud_r"),
-        (other_model, "servo 2 model_number", FAIL, "1030 (expected 1020)", "correct the config"),
+        (other_model, "servo 2 model_number", FAIL, "1030 (expected 1020)", "--redo servos"),
         (
             *("servo2.turned", "servo 2 present_position", FAIL),
             "gripper.servos[1].direction 1, zero_pulse 2048, gripper.linkage",

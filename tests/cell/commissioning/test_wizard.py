@@ -555,9 +555,8 @@ def test_a_wrong_linkage_and_opening_of_the_config_are_named(ready) -> None:
 
 @pytest.mark.parametrize("tight", ["close", LONG("open")])
 def test_a_first_motion_begins_with_room_on_both_sides(ready, tight) -> None:
-    ready.passes(
-        FINGERS, fingers__free=[ready.person.does("empty", tight), ready.person.does("half")]
-    )
+    does = ready.person.does
+    ready.passes(FINGERS, fingers__free=[does("empty", tight), does("half")])
     assert ready.person.script.asked.count("fingers.free") == 2
 
 
