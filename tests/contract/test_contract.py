@@ -152,9 +152,7 @@ class Unit:
         pytest.fail(f"control unit {self.node_id} sends no boot-up within {BOOT_S} s after a reset")
 
 
-def _bench(
-    request: pytest.FixtureRequest, config: CellConfig, registry: FaultRegistry
-) -> LinkBench:
+def _bench(request: Any, config: CellConfig, registry: FaultRegistry) -> LinkBench:
     options = HardwareOptions.of(request.config)
     if request.param == "simulator":
         options = replace(options, servo_port=None, can_interface=None, can_channel=None)

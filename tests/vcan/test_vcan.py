@@ -25,9 +25,7 @@ pytestmark = pytest.mark.skipif(not CHANNEL, reason="needs SocketCAN: make vcan"
 LAYOUT = paper_layout()
 NODE = 5
 # The emulated processor is slow: few frames a second, long patience.
-SETTINGS = LinkSettings(
-    sync_period_s=0.25, heartbeat_s=0.5, startup_timeout_s=60.0, sdo_timeout_s=5.0
-)
+SETTINGS = LinkSettings(sync_period_s=0.25, heartbeat_s=0.5, startup_timeout_s=60, sdo_timeout_s=5)
 
 
 @pytest.fixture

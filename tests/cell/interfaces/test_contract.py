@@ -258,9 +258,8 @@ def test_each_part_reaches_plc_robot_and_program_once(serve) -> None:
 
 def test_no_two_values_or_commands_share_a_place_at_an_interface() -> None:
     numbers = [number for one in COMMANDS for number in one.numbers]
-    registers = [
-        one.register + n for one in VALUES for n in range(N_TEXT if one.kind is str else 1)
-    ]
+    n_of = {str: N_TEXT}
+    registers = [value.register + n for value in VALUES for n in range(n_of.get(value.kind, 1))]
     assert max(registers) < N_INPUT
     for places in (registers, numbers):
         assert len(places) == len(set(places))
