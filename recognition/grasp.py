@@ -226,7 +226,7 @@ class Grasp:
     """The object, its class of shape, and the source of the record (``cell NAME`` for a grasp by a
     cell); empty if unknown."""
     start_ms: int = 0
-    """Time of the first frame in ms: sorts the grasps of a label."""
+    """Time of the first frame in ms: sorts the grasps of a label, and shows their session."""
     series: str = ""
     """Series of the grasp: an individual of a kind, or a day. Empty: see `series_of`."""
     thickness_m: float = float("nan")
@@ -313,7 +313,9 @@ def by_label(grasps: Sequence[Grasp]) -> dict[str, list[Grasp]]:
     members: defaultdict[str, list[Grasp]] = defaultdict(list)
     for number, grasp in enumerate(grasps):
         if not grasp.label or not grasp.label.isprintable():
-            raise ValueError(f"grasp {number} has no label: label it to teach or to test")
+            raise ValueError(
+                f"grasp {number} has no label that can be printed: label it to teach or to test"
+            )
         members[grasp.label].append(grasp)
     return {label: sorted(members[label], key=lambda g: g.start_ms) for label in sorted(members)}
 

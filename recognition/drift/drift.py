@@ -17,7 +17,7 @@ from functools import cached_property
 from typing import Any, Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
 from recognition.features import sizes_mm
@@ -169,20 +169,20 @@ class DriftGrid(ArrayRecord):
         """(O,) float64: hypotheses of the offset of the opening since teaching, in mm."""
         return _axis(self.prior.offset_mm, self.prior.offset_sd_mm * _REACH[1], _OFFSET_STEP_MM)
 
-    def log_weight(self, unchanged: float | None = None) -> NDArray[np.float64]:
-        """Return the logarithms of the weights of the hypotheses (G, O); the weights sum to 1.
+    def log_weight(self, unchanged: ArrayLike | None = None) -> NDArray[np.float64]:
+        """Return the logarithms of the weights of the hypotheses (..., G, O), which sum to 1.
 
-        ``unchanged`` replaces that of the prior.
+        ``unchanged`` (...) replaces that of the prior, for example for each object.
         """
         prior = self.prior
-        share = prior.unchanged if unchanged is None else unchanged
+        share = np.asarray(prior.unchanged if unchanged is None else unchanged)[..., None, None]
         gain = -0.5 * ((self.log_gains - prior.log_gain) / prior.log_gain_sd) ** 2
         offset = -0.5 * ((self.offsets_mm - prior.offset_mm) / prior.offset_sd_mm) ** 2
         density = gain[:, None] + offset
         weight = (1.0 - share) * np.exp(density - logsumexp(density))
-        weight[self._none] += share
+        weight[..., *self._none] += share[..., 0, 0]
         log_weight = np.log(np.maximum(weight, 1e-300)) + self.gauged + self.followed
-        return np.asarray(log_weight - logsumexp(log_weight), dtype=np.float64)
+        return np.asarray(log_weight - logsumexp(log_weight, axis=(-2, -1), keepdims=True))
 
     def with_gauge(
         self, log_likelihood: NDArray[np.float64], placing_mm: float, at_ms: int

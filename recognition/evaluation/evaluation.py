@@ -379,7 +379,9 @@ def _separation(scored: Sequence[_Scores]) -> tuple[float, tuple[float, float]]:
     # A draw may have none of the objects of a group; the mean of the others counts.
     with_group = [draw[np.isfinite(draw)] for draw in np.array(drawn).T]
     means = [np.mean(draw) for draw in with_group if len(draw)]
-    return float(np.mean(areas)), percentile_interval(means)
+    area, n = float(np.mean(areas)), len(weights)
+    few = n < _BOOTSTRAP_OBJECTS or area in (0.0, 1.0)
+    return area, wilson_interval(area * n, n) if few else percentile_interval(means)
 
 
 def _reliability(scored: Sequence[_Scores]) -> tuple[tuple[float, float, int, int], ...]:

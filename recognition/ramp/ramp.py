@@ -209,6 +209,8 @@ def held_part(grasp: Grasp, rest: Rest) -> tuple[Grasp, Ramp]:
     If the opening is unknown, the load alone decides. The relaxation of a soft object under resting
     fingers is a part of the ramp. Raises ValueError for other pads.
     """
+    if not grasp.commanded and np.isfinite(grasp.force_n).any():
+        grasp = replace(grasp, force_n=_filled(grasp.force_n))
     ramp, n = find_ramp(grasp, rest), grasp.n_frames
     if not ramp.touched:
         return grasp, ramp
@@ -220,7 +222,8 @@ def held_part(grasp: Grasp, rest: Rest) -> tuple[Grasp, Ramp]:
         highest = float(total.max())
         # If the rest is above all frames, no load shows the end.
         end = int(np.flatnonzero(total >= _HELD_SHARE * highest)[-1]) + 1 if highest > 0.0 else n
-        if grasp.aperture_m[-1] - grasp.aperture_m[end - 1] < _OPENED_M:
+        aperture_m = _filled(grasp.aperture_m)
+        if aperture_m[-1] - aperture_m[end - 1] < _OPENED_M:
             end = n
     end = max(end, int(ramp.start) + 3)
     if end >= n:
@@ -255,7 +258,9 @@ def _highest(counts: NDArray[np.uint16]) -> float:
 
 def _spread(grasp: Grasp, taxels: NDArray[np.int64]) -> float:
     """Return the standard deviation of one sample while nothing is touched, in counts."""
-    early = grasp.counts[: 2 * QUIET_FRAMES, taxels].astype(np.float64)
+    # In a short grasp the sixth frame may be loaded.
+    n = max(QUIET_FRAMES, min(2 * QUIET_FRAMES, grasp.n_frames // 5))
+    early = grasp.counts[:n, taxels].astype(np.float64)
     return float(np.sqrt(early.var(axis=0, ddof=min(1, len(early) - 1)).mean()))
 
 
@@ -520,7 +525,7 @@ def _weights(
 
 
 def _filled(aperture_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Fill unknown openings from their neighbours in time; all NaN stays NaN."""
+    """Fill unknown openings or forces from their neighbours in time; all NaN stays NaN."""
     good = np.isfinite(aperture_m)
     if good.all() or not good.any():
         return aperture_m

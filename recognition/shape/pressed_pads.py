@@ -19,7 +19,7 @@ SPREAD_STEP = 0.1
 SPREAD_STEPS = 10
 """Number of spreads on each side of the expected one."""
 
-_WINDOW_M = 13e-3
+_WINDOW_M = 30e-3
 """Largest half width in m of the computed part of a pad."""
 _MARGIN_M = 3.5e-3
 """Width in m of the unloaded rim of that part, beyond two standard deviations of the load."""

@@ -51,15 +51,10 @@ class Evidence:
     view: View
     """The view of this evidence."""
 
-    def of_any(self, favour: float = 1.0) -> NDArray[np.float64]:
-        """Return (G, O) or (G, 1): log likelihood of any object, taught or new.
-
-        That of a new one is multiplied by ``favour``.
-        """
+    def of_any(self) -> NDArray[np.float64]:
+        """Return (G, O) or (G, 1): log likelihood of any object, taught or new."""
         taught = logsumexp(self.log_likelihood, axis=-1)
-        return np.asarray(
-            np.logaddexp(taught, self.view.log_new + np.log(favour)), dtype=np.float64
-        )
+        return np.asarray(np.logaddexp(taught, self.view.log_new), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,18 +97,22 @@ class ForceRampRecognizer(TaughtRecord):
         if evidence is None:
             return Posterior.uninformed(self.labels)
         grid = self.grid_at(grasp)
-        log_weight = grid.log_weight(self._unchanged(grasp))
-        joint = evidence.log_likelihood + log_weight[..., None]
+        unchanged = self._unchanged(grasp)
+        log_weight = grid.log_weight(unchanged[evidence.classes])
+        joint = evidence.log_likelihood + np.moveaxis(log_weight, 0, -1)
+        # A new object has the mean of the taught ones.
+        new_weight = grid.log_weight(unchanged.mean())
         probability = np.zeros(len(self.labels))
         of_each = logsumexp(joint, axis=(0, 1))
         probability[evidence.classes] = np.exp(of_each - logsumexp(of_each))
-        any_day = grid.offset_mm(np.exp(log_weight))[1] / DriftPrior().offset_sd_mm
+        any_day = grid.offset_mm(np.exp(new_weight))[1] / DriftPrior().offset_sd_mm
         # An unknown zero is an error that all grasps of a part have in common.
         common = min(1.0, any_day**2)
         even = max(UNIFORM_SHARE, evidence.view.even_share * common)
         probability = (1.0 - even) * probability + even / len(self.labels)
         probability /= probability.sum()
-        log_share = log_weight + evidence.of_any(_NEW_IN_ANSWER * self.caution)
+        log_new = new_weight + evidence.view.log_new + np.log(_NEW_IN_ANSWER * self.caution)
+        log_share = np.logaddexp(logsumexp(joint, axis=-1), log_new)
         share = np.exp(log_share - logsumexp(log_share))
         odds_of_taught = 1.0 / float(np.clip((share * evidence.new).sum(), 1e-12, 1.0)) - 1.0
         caution, moved_m = self.caution, 0.0
@@ -220,19 +219,27 @@ class ForceRampRecognizer(TaughtRecord):
         """
         return self.both is not None
 
-    def _unchanged(self, grasp: Grasp) -> float | None:
-        """Return the prior probability of no drift; None for that of the grid."""
+    def _unchanged(self, grasp: Grasp) -> NDArray[np.float64]:
+        """Return (C,): prior probability of no drift since each object was taught."""
         grid = self.grid_at(grasp)
         if grid.zero is None and (grid.prior != DriftPrior() or grid.n_gauged):
-            return None
-        same_zero = grid.zero is None or grid.zero == self.zero
+            return np.full(len(self.labels), grid.prior.unchanged)
+        return np.where(self._soon(grasp), _SOON_UNCHANGED, 0.0)
+
+    def _soon(self, grasp: Grasp) -> NDArray[np.bool_]:
+        """Return (C,): whether the zero of the opening is that at which an object was taught.
+
+        That is so within one session, in which no pause is longer than an hour.
+        """
+        grid = self.grid_at(grasp)
+        same_zero = grid.prior == DriftPrior() if grid.zero is None else grid.zero == self.zero
         elsewhere = self.taught_on and _on_cell(grasp) and grasp.source not in self.taught_on
-        apart_ms = int(np.abs(self.taught_ms - grasp.start_ms).min())
-        if self.taught_on:
-            # On a cell all objects were taught in one session up to now, or some drift is possible.
-            apart_ms = int(np.diff(np.sort(np.append(self.taught_ms, grasp.start_ms))).max())
-        soon = apart_ms <= _SOON_MS and not elsewhere and same_zero and not grid.n_gauged
-        return _SOON_UNCHANGED if soon else 0.0
+        order = np.argsort(self.taught_ms)
+        at_ms = self.taught_ms[order]
+        session = np.cumsum(np.diff(at_ms, prepend=at_ms[0]) > _SOON_MS)
+        now = session[np.abs(at_ms - grasp.start_ms) <= _SOON_MS]
+        soon = np.isin(session, now)[np.argsort(order)]
+        return soon & (same_zero and not elsewhere and not grid.n_gauged)
 
     def _slack_mm(self, grasp: Grasp) -> NDArray[np.float64]:
         """Return (O,): tolerance of the size of an object under each offset, in mm.
@@ -242,7 +249,7 @@ class ForceRampRecognizer(TaughtRecord):
         grid = self.grid_at(grasp)
         offsets_mm = grid.offsets_mm
         slack_mm = np.full(len(offsets_mm), _SLACK * grid.prior.offset_sd_mm)
-        if self._unchanged(grasp):
+        if self._soon(grasp).any():
             slack_mm[np.argmin(np.abs(offsets_mm))] = 0.0
         return slack_mm
 

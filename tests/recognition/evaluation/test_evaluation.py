@@ -142,7 +142,8 @@ def test_figures_fit_each_other(score, fresh):
     assert low <= score.single_accuracy <= high
     assert set(score.fused_accuracy) == {1, 2, 3, 5}
     assert score.fused_accuracy[1] == pytest.approx(score.single_accuracy)
-    assert 0.0 <= score.auroc_interval[0] <= score.unknown_auroc <= score.auroc_interval[1] <= 1.0
+    few = wilson_interval(len(score.labels) * score.unknown_auroc, len(score.labels))
+    assert score.auroc_interval == pytest.approx(few)
     assert sum(n for _, _, n, _ in score.unknown_reliability) == 5 * score.n
     assert sum(new for *_, new in score.unknown_reliability) == score.n
     assert score.trainer == "level_check"

@@ -316,6 +316,14 @@ def test_an_untaught_object_is_named_and_measured(pads: PadArray, kind: str) -> 
         assert sum(answer.probability.values()) == pytest.approx(1.0)
 
 
+def test_a_rod_is_measured_along_the_whole_pad() -> None:
+    rod = Body("cylinder", 8.0)
+    rod.own = [np.log(5.0)]
+    answer = shape_of(pressed(PadArray.grid(16, 4, 3.44e-3), rod, seed=0))
+    assert answer.kind == "cylinder"
+    assert 1e3 * answer.low_m < 8.0 < 1e3 * answer.high_m
+
+
 @pytest.mark.parametrize("kind", ["sphere", "cylinder", "flat"])
 def test_a_linear_sensor_is_read_under_its_own_law(pads: PadArray, kind: str) -> None:
     linear = FoamModel(nodes=LINEAR)

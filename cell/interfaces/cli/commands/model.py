@@ -280,7 +280,7 @@ def _lines(result: EvaluationResult) -> Iterator[str | Table]:
                 title,
                 _with_interval(test.single_accuracy, test.interval),
                 *(_with_interval(test.fused_accuracy[k], test.fused_interval[k]) for k in fused),
-                *(f"{100 * share:.1f}" for share in named),
+                *(f"{abs(100 * share):.1f}" for share in named),
                 _with_interval(test.unknown_auroc, test.auroc_interval, 1.0, 3),
             )
     yield table
