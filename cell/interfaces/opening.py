@@ -1,6 +1,7 @@
 """Opens all configured interfaces of a service; addresses of its page, and their QR codes."""
 
 import asyncio
+import os
 import socket
 import threading
 from collections.abc import Iterator, Mapping
@@ -53,9 +54,9 @@ def open_interfaces(service: Service) -> Iterator[dict[str, Any]]:
     config = service.config.serve
     opened: dict[str, Any] = {"listen": config.listen}
     interfaces: dict[str, Any] = {}
-    for name in (config.tls_certificate, config.tls_key):
-        if name and Path(name).exists() and not Path(name).is_file():
-            raise ConfigError(f"{name}: not a plain file; name the file itself")
+    for name in (config.tls_key, config.tls_certificate):
+        if name and not (Path(name).is_file() and os.access(name, os.R_OK)):
+            raise ConfigError(f"{name}: not a plain file that can be read; name the file itself")
     with ExitStack() as undo:
         for key, name in _INTERFACES.items():
             if getattr(config, key) is None:

@@ -12,7 +12,7 @@ close                   close both fingers by hand until they touch something
 open [finger N]         open both fingers, or finger 0 or 1, as far as they go
 half                    open both fingers half way
 block MM                hold a block of MM mm between the pads, close the fingers on it
-part [NAME]             hold a part between the open pads: ball, box, cylinder, dumbbell, oval
+part [NAME]             hold an object of the cell between the open pads: ball without a name
 press PAD [PLACE ...]   press a pad with a fingertip: in the middle, or at tip, base, left, right,
                         as you look at the pad with the tip upwards; on a tip pad: left, right,
                         inside (towards the other finger), outside
@@ -75,7 +75,8 @@ class Hands:
         word, *values = [part for part in text.split() if part not in _FILLERS] or ["help"]
         if word == "help":
             state = self._state
-            return f"{HELP}\nHere: fingers on {state['linkage']}; pads {', '.join(state['pads'])}"
+            pads, objects = (", ".join(state[key]) for key in ("pads", "objects"))
+            return f"{HELP}\nHere: fingers on {state['linkage']}; pads {pads}; objects {objects}"
         none_such = SimulatorSettingsError(
             f"{text!r:.60} is not a command: `help` lists all commands"
         )

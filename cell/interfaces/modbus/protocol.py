@@ -167,4 +167,5 @@ class ModbusServer:
             reply = answer(await reader.readexactly(length - 1), registers)
             writer.write(_HEADER.pack(transaction, 0, len(reply) + 1, unit) + reply)
             await writer.drain()
+            await asyncio.sleep(0)  # buffered requests would keep all other clients waiting
         return True

@@ -139,9 +139,7 @@ def test_a_data_set_beside_its_recording_and_a_copy_add_nothing(fleet, tmp_path)
     assert sum(row["recording"].endswith(".mcap") for row in rows) == 6
 
 
-def test_what_is_torn_foreign_or_unfinished_is_named_and_left_for_the_next_run(
-    fleet, tmp_path
-) -> None:
+def test_what_is_torn_foreign_or_unfinished_is_named_and_left_for_later(fleet, tmp_path) -> None:
     whole = sources([fleet])[0]
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])

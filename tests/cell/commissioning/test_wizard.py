@@ -588,9 +588,7 @@ def drifting(ready: Stand) -> None:
         ("opened", "no", "what the servos report and what the fingers do differ"),
     ],
 )
-def test_fingers_that_do_not_move_as_asked_fail_the_step_and_are_limp(
-    ready, key, reply, named
-) -> None:
+def test_fingers_that_move_otherwise_fail_the_step_and_are_limp(ready, key, reply, named) -> None:
     answers = {f"fingers.{key}": ready.person.does(reply) if reply else lambda: None}
     if reply == "half":
         answers["fingers.open_first"] = ready.person.does("close", "open 0")

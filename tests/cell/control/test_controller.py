@@ -427,9 +427,7 @@ def test_the_label_does_not_hang_on_shapes_and_on_who_is_told(record: GraspRecor
 
 
 @pytest.mark.parametrize(("drawn_m", "label"), [((4e-3,), UNKNOWN), ((4e-3, 9.5e-3), "ball")])
-def test_a_measured_size_far_from_the_drawn_ones_is_of_no_taught_object(
-    record, drawn_m, label
-) -> None:
+def test_a_size_far_from_the_drawn_ones_is_of_no_taught_object(record, drawn_m, label) -> None:
     told: list[Posterior] = []
     answer = identified(
         record,

@@ -141,10 +141,8 @@ class Client:
         assert status == 200, answer
         return answer
 
-    def live(self, query: str = "", **options: Any) -> Any:
-        return open_socket(
-            f"ws://127.0.0.1:{self.port}/api/live?token={self.token}{query}", **options
-        )
+    def live(self, query: str = "", **more: Any) -> Any:
+        return open_socket(f"ws://127.0.0.1:{self.port}/api/live?token={self.token}{query}", **more)
 
 
 # -- hosts -------------------------------------------------------------------------------------

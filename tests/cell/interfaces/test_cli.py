@@ -129,9 +129,7 @@ def main_job(taught: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
     return job
 
 
-def test_run_shows_and_writes_what_the_main_job_returns(
-    quick, tmp_path, main_job, monkeypatch
-) -> None:
+def test_run_shows_and_writes_what_the_job_returns(quick, tmp_path, main_job, monkeypatch) -> None:
     monkeypatch.setattr("cell.report.page.render_report", str)
     out, report = tmp_path / "elsewhere", tmp_path / "json" / "run.json"
     text = call(
@@ -250,7 +248,7 @@ def test_grasps_that_neither_data_set_nor_recording_has_are_lost_with_a_message(
     assert "recording.mcap has stopped, too: free space" in said
 
 
-def test_the_command_that_lets_go_of_a_kept_part_is_printed(
+def test_the_command_that_lets_a_kept_part_go_is_printed(
     config, model, meddle, monkeypatch
 ) -> None:
     def pretend(_made: Any) -> None:

@@ -436,6 +436,7 @@ def test_interfaces_that_cannot_be_opened_say_why(serve, tmp_path: Path) -> None
         ("modbus", "secret_file", "pipe", "pipe: not a plain file"),
         ("http", "token_file", "pipe", "pipe: not a plain file"),
         ("http", "tls_key", "pipe", "pipe: not a plain file"),
+        ("http", "tls_key", "missing", "missing: not a plain file that can be read"),
         ("xmlrpc", "secret_file", "bad", "no other characters"),
         ("modbus", "secret_file", "long", "at most 64 characters"),
         ("http", "token_file", "short", "at least 16 letters"),

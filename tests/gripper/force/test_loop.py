@@ -59,9 +59,7 @@ def test_a_pause_before_three_lost_answers_is_no_lost_bus(cell) -> None:
 @pytest.mark.parametrize(
     ("knob", "value", "error"), [("gain", 3.0, ForceAboveCap), ("dead", True, ForceSensorStale)]
 )
-def test_pads_are_watched_while_the_servos_are_not_understood(
-    make_started, knob, value, error
-) -> None:
+def test_pads_are_watched_while_servos_are_not_understood(make_started, knob, value, error) -> None:
     cell = make_started(bus_loss_s=2.0, force_max_n=9.0)
 
     def fail() -> None:

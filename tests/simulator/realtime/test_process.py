@@ -451,7 +451,7 @@ def test_what_is_between_the_fingers_and_on_the_pads(at: At) -> None:
     assert at.state["faults"].keys() == {"servo2.off"}
     at.do("connect 2")
     assert at.state["faults"] == {}
-    assert at.do("help").endswith("finger1.side_b, finger1.tip")
+    assert at.do("help").endswith("finger1.tip; objects oval, cylinder, box, ball, dumbbell")
 
 
 @pytest.mark.parametrize(

@@ -177,15 +177,15 @@ def serve(
             service.plugin.interrupt()  # first, so that each motion stops at once
             over.set()
 
-        with (
-            stopping(stop, left=NOTHING_LET_GO),
-            closing(service),
-            suppress(CellStopped),
-            # Before anything moves, so that a used port or a bad token file ends it here.
-            open_interfaces(service) as interfaces,
-        ):
-            unused.pop_all()
-            try:
+        try:
+            with (
+                stopping(stop, left=NOTHING_LET_GO),
+                closing(service),
+                suppress(CellStopped),
+                # Before anything moves, so that a used port or a bad token file ends it here.
+                open_interfaces(service) as interfaces,
+            ):
+                unused.pop_all()
                 _connect(service)
                 _announce(service, interfaces)
                 if untaught:
@@ -195,11 +195,10 @@ def serve(
                 manager.send("READY=1")
                 report_until(over, service, manager)
                 manager.send("STOPPING=1")
-            finally:
-                if config is not None and service.plugin.status().holding:
-                    print_note(
-                        f"a part may be in the grip; to release it: {release_command(config)}"
-                    )
+        finally:
+            # At the end: a release that was stopped half-way may have left a part.
+            if config is not None and service.plugin.status().holding:
+                print_note(f"a part may be in the grip; to release it: {release_command(config)}")
 
 
 def _connect(service: Service) -> None:

@@ -368,7 +368,8 @@ def install(
 
 def _notes(config: CellConfig, files: Iterable[Path | None]) -> Iterator[str]:
     """Yield what the service's user cannot read or write: of these files, and of the config."""
-    named = filter(None, (getattr(config.serve, key) for key in _SECRET_KEYS))
+    keys = (*_SECRET_KEYS, "tls_certificate")
+    named = filter(None, (getattr(config.serve, key) for key in keys))
     secrets = {STATE_FOLDER / name for name in named}
     for path in filter(None, (*files, *sorted(secrets))):
         if (closed := closed_to_service(path)) is not None:

@@ -248,9 +248,7 @@ def test_a_part_is_not_lost_because_the_loop_stalls(make_started, stalls_s) -> N
     [(0.0, 0.7, None), (0.0, 4.0, 500.0), (2.0, 0.7, 500.0), (2.0, 4.0, None)],
     ids=["ramp", "ramp, messages", "hold, messages", "hold"],
 )
-def test_pads_whose_zero_jumps_on_a_part_do_not_let_it_go(
-    make_started, in_s, final_n, rate_hz
-) -> None:
+def test_pads_whose_zero_jumps_do_not_let_a_part_go(make_started, in_s, final_n, rate_hz) -> None:
     """The fingers stand and press as before: it is no force that there is too much of."""
     # A slow touch adds no force, which would have to fall first.
     cell = make_started(rate_hz=rate_hz, approach_speed_m_s=0.008)
