@@ -259,7 +259,7 @@ def _highest(counts: NDArray[np.uint16]) -> float:
 def _spread(grasp: Grasp, taxels: NDArray[np.int64]) -> float:
     """Return the standard deviation of one sample while nothing is touched, in counts."""
     # In a short grasp the sixth frame may be loaded.
-    n = max(QUIET_FRAMES, min(2 * QUIET_FRAMES, grasp.n_frames // 5))
+    n = max(QUIET_FRAMES, min(2 * QUIET_FRAMES, grasp.n_frames // 4))
     early = grasp.counts[:n, taxels].astype(np.float64)
     return float(np.sqrt(early.var(axis=0, ddof=min(1, len(early) - 1)).mean()))
 
