@@ -251,7 +251,7 @@ def _advice(row: VerificationRow, named: str) -> str:
     if row.item in CORRECTABLE:
         return _AT_START
     if row.item == "model_number":
-        return "`tactile-cell commission FOLDER --redo servos` sets up a new servo"
+        return "correct the config; `tactile-cell commission FOLDER --redo servos` sets up a servo"
     return "correct it with the servo maker's wizard, or correct the config"
 
 

@@ -24,8 +24,9 @@ _OPENING_M = 0.5e-3
 and the resolution of the servos change it by 0.1 mm (simulated cell)."""
 _LIKENESS = 0.95
 """Least similarity of two footprints: cosine of the angle between the taxels' counts, corrected for
-noise. In the simulated cell the same part has at least 0.99 (45 measurements of 15 parts; 0.97 with
-twice the noise). Five parts in another pose have at most 0.94 (210 pairs)."""
+noise. In the simulated cell the same part has at least 0.99 (45 measurements of 15 parts, zero of
+five frames; 0.97 with twice the noise). Five parts in another pose have at most 0.94 (210
+pairs)."""
 _LOSS_DECIDED_S = 0.5
 """Time in s within which the supervision of a hold decides whether a part is lost."""
 

@@ -133,7 +133,8 @@ class Recorder:
         try:
             if self._sink.busy:
                 return False
-            self._first_path.parent.mkdir(exist_ok=True)  # somebody may have removed it
+            if isinstance(self._sink.error, FileNotFoundError):  # not where a disk is gone
+                self._first_path.parent.mkdir(parents=True, exist_ok=True)
             if free_bytes(self._first_path.parent) < ROOM_BYTES:
                 return False
             if fault is not None and not self._n_frames:

@@ -171,8 +171,8 @@ def grasp_figure(grasp: Grasp, title: str) -> "Figure":
                 *xy_mm.T, c=largest[taxels], marker="s", vmin=0, vmax=largest.max(), clip_on=False
             )
             axes.set(aspect="equal", title=f"pad {pad}")
-            figure.colorbar(points, ax=axes, label="counts", shrink=0.5)
-        load.set(xlabel="time / s", ylabel="sum of the counts")
+            figure.colorbar(points, ax=axes, label="counts above rest", shrink=0.5)
+        load.set(xlabel="time / s", ylabel="sum of the counts above rest")
         load.legend()
         opening.plot(grasp.t_s, 1e3 * grasp.aperture_m, color=colour(6))
         opening.set(xlabel="time / s")

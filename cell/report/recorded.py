@@ -340,7 +340,6 @@ def pressure_view(grasp: Grasp, names: Sequence[str], gripping: Sequence[int]) -
         ],
         "n_untouched": pads.n_pads - len(visible),
         "full": full,
-        "adc_max": pads.adc_max,
     }
 
 

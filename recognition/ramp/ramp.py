@@ -209,7 +209,7 @@ def held_part(grasp: Grasp, rest: Rest) -> tuple[Grasp, Ramp]:
     If the opening is unknown, the load alone decides. The relaxation of a soft object under resting
     fingers is a part of the ramp. Raises ValueError for other pads.
     """
-    if not grasp.commanded and np.isfinite(grasp.force_n).any():
+    if not grasp.commanded and np.isfinite(grasp.force_n[-1]):
         grasp = replace(grasp, force_n=_filled(grasp.force_n))
     ramp, n = find_ramp(grasp, rest), grasp.n_frames
     if not ramp.touched:

@@ -40,9 +40,7 @@ def check_friction(cell: Any, rel: float = 0.1) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("friction", [(0.5, 0.5), (3.0, 1.0), LONG((3.0, 2.0)), LONG((1.0, 0.5))])
-def test_a_gripper_that_never_measured_finds_the_friction_of_each_servo(
-    make_started, friction
-) -> None:
+def test_a_gripper_that_never_measured_finds_the_friction_of_servos(make_started, friction) -> None:
     cell = make_started(drive_sds=NEVER, aperture_m=0.03)
     for motor, factor in zip(cell.motors, friction, strict=True):
         motor.friction_factor *= factor

@@ -131,9 +131,7 @@ def test_a_message_that_comes_again_and_again_stays_old(stream) -> None:
 
 
 @pytest.mark.parametrize("start", range(16))
-def test_a_unit_that_counts_from_zero_again_is_followed_within_ten_messages(
-    stream, start: int
-) -> None:
+def test_a_unit_that_counts_from_zero_again_is_followed_within_ten(stream, start: int) -> None:
     assert stream.push(force_bytes(message(start)), 0.0) is not None
     took = [
         stream.push(force_bytes(message(n % 16, 2.0)), 0.003 * (n + 1)) is not None

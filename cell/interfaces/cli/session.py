@@ -291,10 +291,7 @@ def job_folder(directory: Path, job: str) -> Path:
 
 @contextmanager
 def removed_if_unused(folder: Path | None) -> Iterator[None]:
-    """Remove a job's folder, and an empty recording, if the job does not start.
-
-    A service manager starts a service many times.
-    """
+    """Remove a job's folder, and an empty recording, if the job does not start."""
     try:
         yield
     except BaseException:

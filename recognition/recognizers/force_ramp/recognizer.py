@@ -229,7 +229,7 @@ class ForceRampRecognizer(TaughtRecord):
     def _soon(self, grasp: Grasp) -> NDArray[np.bool_]:
         """Return (C,): whether the zero of the opening is that at which an object was taught.
 
-        That is so within one session, in which no pause is longer than an hour.
+        That is so within one session: each hour until the grasp has the end of a teaching.
         """
         grid = self.grid_at(grasp)
         same_zero = grid.prior == DriftPrior() if grid.zero is None else grid.zero == self.zero
@@ -244,7 +244,7 @@ class ForceRampRecognizer(TaughtRecord):
     def _slack_mm(self, grasp: Grasp) -> NDArray[np.float64]:
         """Return (O,): tolerance of the size of an object under each offset, in mm.
 
-        Sizes count if the zero of the opening is known: within the hour, or after a self-zero.
+        Sizes count if the zero of the opening is known: within the session, or after a self-zero.
         """
         grid = self.grid_at(grasp)
         offsets_mm = grid.offsets_mm

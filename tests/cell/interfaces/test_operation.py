@@ -453,7 +453,7 @@ def packed(folder: Path) -> dict[str, bytes]:
     return members
 
 
-def test_no_secret_of_the_cell_is_in_its_bundle(
+def test_no_secret_of_a_cell_is_in_its_bundle(
     cell: Served, tmp_path: Path, monkeypatch: Any
 ) -> None:
     monkeypatch.setenv("http_proxy", "http://127.0.0.1:1")  # it must not get the token
@@ -581,14 +581,16 @@ def test_a_signal_first_stops_the_motion(meddle, run_serve, moment) -> None:
 
 @pytest.mark.parametrize(("fault", "number"), [("servo1.off", 111), ("servo1.error=32", 109)])
 def test_a_cell_with_a_fault_at_its_start_is_served_so_that_clients_can_clear_it(
-    run_serve, fault, number
+    run_serve, tmp_path, fault, number
 ) -> None:
     seen = []
 
     def meanwhile(_over: threading.Event, service: Any, _manager: Any) -> None:
         seen.append(service.plugin.status())
 
-    ended = run_serve(meanwhile, "--fault", fault, zero="on_demand", kind="simulated")
+    more = ("--fault", fault, "--out", tmp_path / "jobs")
+    ended = run_serve(meanwhile, *more, zero="on_demand", kind="simulated")
+    assert [*tmp_path.glob("jobs/serve-*/recording.mcap")]
     assert (seen[0].state, seen[0].fault_number) == ("ABORTED", number)
     assert "the cell is not ready: " in ended.stderr
     assert "modbus_port" in json.loads(ended.stdout)

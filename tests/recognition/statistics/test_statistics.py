@@ -345,9 +345,7 @@ MAYBE_NEW = posterior(1.0, 1e-6, unknown=2.0 * MAX_UNKNOWN)
         ([MAYBE_NEW] * 2, StopRule(max_grasps=2), (DecisionKind.DECIDED, "a"), (0.99, 1.0)),
     ],
 )
-def test_a_sequence_ends_with_a_sure_name_a_new_object_or_its_last_grasp(
-    grasps, rule, answer, between
-):
+def test_a_sequence_ends_with_a_sure_name_a_new_object_or_the_last(grasps, rule, answer, between):
     decision = decide(grasps, rule)
     assert (decision.kind, decision.label) == answer
     assert between[0] < decision.probability <= between[1]

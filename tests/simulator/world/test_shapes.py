@@ -201,9 +201,7 @@ def test_a_mesh_that_is_no_part_is_refused(stl, mesh, says) -> None:
 @pytest.mark.parametrize(
     ("place", "piece"), [(-7, b""), (0, b""), (80, b"\xff\xff\xff\xff"), (96, b"\0\0\xc0\x7f")]
 )
-def test_a_file_that_is_cut_off_or_has_a_wrong_count_or_no_number_is_refused(
-    stl, place, piece
-) -> None:
+def test_a_file_that_is_cut_or_has_a_wrong_count_or_no_number_is_refused(stl, place, piece) -> None:
     path = stl(BOX)
     data = path.read_bytes()
     path.write_bytes(data[:place] + piece + (data[place + 4 :] if piece else b""))

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack, closing, suppress
 from math import inf
 from pathlib import Path
+from shutil import rmtree
 from typing import Annotated, Any
 
 import typer
@@ -25,7 +26,6 @@ from cell.interfaces.cli.session import (
     job_folder,
     model_of_folder,
     release_command,
-    removed_if_unused,
     with_faults,
 )
 from cell.interfaces.cli.signals import NOTHING_LET_GO, stopping
@@ -170,7 +170,9 @@ def serve(
     untaught = config is None and model is None and training_set is None
     files: dict[str, Any] = {"training_set": training_set, "save": save, "folder": folder}
     with ExitStack() as unused:
-        unused.enter_context(removed_if_unused(folder))
+        if folder is not None:
+            # A service manager starts a service many times: without a start no folder stays.
+            unused.callback(rmtree, folder, ignore_errors=True)
         service = open_service(checked, model=model, note=print_note, start=False, **files)
 
         def stop() -> None:
