@@ -73,11 +73,9 @@ function take(state) {
   takeValues(state, Date.now() / 1000);
   const job = state.job ?? {};
   if (before && before.taught_revision !== state.taught_revision) refreshTaught();
-  if (lastJob && (job.number !== lastJob.number || job.outcome !== lastJob.outcome)) {
-    if (runs(job) && !(runs(lastJob) && lastJob.number === job.number)) {
-      if (TAB_OF[job.task]) chooseTab(TAB_OF[job.task]);
-      view.say("");
-    }
+  if (runs(job) && !(runs(lastJob) && lastJob.number === job.number)) {
+    if (TAB_OF[job.task]) chooseTab(TAB_OF[job.task]);
+    view.say("");
   }
   lastJob = { number: job.number, outcome: job.outcome };
   dirty = true;
