@@ -316,7 +316,7 @@ export function renderMeasured(view) {
   const { live, status } = state;
   const value = (text) => (old ? "–" : text);
   setText(byId("measured_force"), value(newtons(live.force_n)));
-  setText(byId("measured_setpoint"), value(newtons(live.setpoint_n)));
+  setText(byId("measured_setpoint"), value(newtons(live.setpoint_n || null)));  // 0: no force is controlled
   setText(byId("measured_opening"), value(millimetres(live.opening_mm)));
   setText(byId("measured_grip"), value(has(`grip.${status.grasp}`) ? t(`grip.${status.grasp}`) : status.grasp));
   const pads = info?.pads;
