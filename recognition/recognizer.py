@@ -50,6 +50,8 @@ class Posterior:
         p = keep_array(self, "probability", self.probability, np.float64)
         if p.shape != (len(self.labels),) or not np.all(np.isfinite(p)) or np.any(p < 0):
             raise ValueError(f"probabilities {p} do not fit the {len(self.labels)} labels")
+        if UNKNOWN in self.labels:
+            raise ValueError(f"{UNKNOWN} is the answer for untaught objects, not a label")
         if abs(float(p.sum()) - 1.0) > 1e-6:
             raise ValueError(f"probabilities sum to {p.sum()}, not to 1")
         if not 0.0 <= self.unknown <= 1.0:

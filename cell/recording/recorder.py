@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict
+from errno import ENOENT, ENOSPC
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -133,7 +134,8 @@ class Recorder:
         try:
             if self._sink.busy:
                 return False
-            if isinstance(self._sink.error, FileNotFoundError):  # not where a disk is gone
+            # Not where a disk is gone: a folder in its place is on another one.
+            if getattr(self._sink.error, "errno", ENOENT) in (ENOENT, ENOSPC):
                 self._first_path.parent.mkdir(parents=True, exist_ok=True)
             if free_bytes(self._first_path.parent) < ROOM_BYTES:
                 return False

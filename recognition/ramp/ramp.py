@@ -209,7 +209,9 @@ def held_part(grasp: Grasp, rest: Rest) -> tuple[Grasp, Ramp]:
     If the opening is unknown, the load alone decides. The relaxation of a soft object under resting
     fingers is a part of the ramp. Raises ValueError for other pads.
     """
-    if not grasp.commanded and np.isfinite(grasp.force_n[-1]):
+    aperture_m, known = _filled(grasp.aperture_m), np.flatnonzero(np.isfinite(grasp.force_n))
+    # A gap at the end, in which the fingers open, is the release.
+    if len(known) and not aperture_m[-1] - aperture_m[known[-1]] >= _OPENED_M:
         grasp = replace(grasp, force_n=_filled(grasp.force_n))
     ramp, n = find_ramp(grasp, rest), grasp.n_frames
     if not ramp.touched:
@@ -222,7 +224,6 @@ def held_part(grasp: Grasp, rest: Rest) -> tuple[Grasp, Ramp]:
         highest = float(total.max())
         # If the rest is above all frames, no load shows the end.
         end = int(np.flatnonzero(total >= _HELD_SHARE * highest)[-1]) + 1 if highest > 0.0 else n
-        aperture_m = _filled(grasp.aperture_m)
         if aperture_m[-1] - aperture_m[end - 1] < _OPENED_M:
             end = n
     end = max(end, int(ramp.start) + 3)

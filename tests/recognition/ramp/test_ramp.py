@@ -130,7 +130,7 @@ def test_gaps_in_the_opening_are_bridged_and_a_missing_one_stays_missing(rest, t
     holes[::4] = np.nan
     bridged = load_levels([dataclasses.replace(train[0], aperture_m=holes)], rest)
     assert bridged.aperture_mm == pytest.approx(load_levels(train[:1], rest).aperture_mm, abs=0.2)
-    forces_n = np.where(np.isnan(holes), np.nan, np.linspace(0.0, 4.0, len(holes)))
+    forces_n = np.append(np.where(np.isnan(holes), np.nan, 4.0)[1:], np.nan)
     commanded = load_levels([dataclasses.replace(train[0], force_n=forces_n)], rest)
     assert not commanded.level_time_s.any()
     none = dataclasses.replace(train[0], aperture_m=np.full_like(holes, np.nan))

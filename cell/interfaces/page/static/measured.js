@@ -342,7 +342,7 @@ export function renderMeasured(view) {
     described_s = now_s;
     byId("pads").setAttribute("aria-label", t("measured.pads_say", { force: newtons(live.force_n) }));
     byId("chart").setAttribute("aria-label", t("measured.chart_say", {
-      force: newtons(live.force_n), setpoint: newtons(live.setpoint_n), opening: millimetres(live.opening_mm),
+      force: newtons(live.force_n), setpoint: newtons(live.setpoint_n || null), opening: millimetres(live.opening_mm),
     }));
   }
 }
