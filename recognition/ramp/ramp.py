@@ -211,7 +211,8 @@ def held_part(grasp: Grasp, rest: Rest) -> tuple[Grasp, Ramp]:
     """
     aperture_m, known = _filled(grasp.aperture_m), np.flatnonzero(np.isfinite(grasp.force_n))
     # A gap at the end, in which the fingers open, is the release.
-    if len(known) and not aperture_m[-1] - aperture_m[known[-1]] >= _OPENED_M:
+    gap = 0 < len(known) < grasp.n_frames
+    if gap and not aperture_m[-1] - aperture_m[known[-1]] >= _OPENED_M:
         grasp = replace(grasp, force_n=_filled(grasp.force_n))
     ramp, n = find_ramp(grasp, rest), grasp.n_frames
     if not ramp.touched:
