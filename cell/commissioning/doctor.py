@@ -37,6 +37,8 @@ from tactile.source import SourceIdentity
 
 _AT_START = "the cell sets it at its start"
 """Advice for a register that a start corrects."""
+_NEW_SERVO = "`tactile-cell commission FOLDER --redo servos` sets up a new servo"
+"""Advice for an exchanged servo."""
 _TORQUE = "servo torque"
 """Name of the check of the servos' torque."""
 _PRESSED_SIGMAS = 6.0
@@ -195,7 +197,7 @@ def _guarded(what: str, check: Callable[[], list[Finding]]) -> Iterator[Finding]
             keys = "tactile.node_id, tactile.bitrate and tactile.sensor"
         advice = f"check power, cable, {keys}"
         if what == "servos":
-            advice += "; `tactile-cell commission FOLDER --redo servos` sets up a new servo"
+            advice += f"; {_NEW_SERVO}"
         if what == _TORQUE:
             advice += "; it is unknown whether a part is held: the servos keep their last goals"
         yield check_result(what, str(error), advice, bad=Verdict.FAIL)
@@ -251,7 +253,7 @@ def _advice(row: VerificationRow, named: str) -> str:
     if row.item in CORRECTABLE:
         return _AT_START
     if row.item == "model_number":
-        return "correct the config; `tactile-cell commission FOLDER --redo servos` sets up a servo"
+        return f"correct the config; {_NEW_SERVO}"
     return "correct it with the servo maker's wizard, or correct the config"
 
 
