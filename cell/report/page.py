@@ -187,7 +187,7 @@ def grasp_figure(grasp: Grasp, title: str) -> "Figure":
 def pad_svg(
     xy_mm: NDArray[np.float64], values: NDArray[np.float64], full: float, label: str
 ) -> str:
-    """Return one pad as SVG: one path for each shade (classes ``s0`` to ``s12``).
+    """Return one pad as SVG: one path for each shade (classes ``s1`` to ``s12``).
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def pad_svg(
     pitch = np.array([step if np.isfinite(step) else finite[0] for step in steps])
     low = xy_mm.min(axis=0) - 0.5 * pitch
     width, height = np.ptp(xy_mm, axis=0) + pitch
-    shades = np.clip(np.ceil(values / full * N_SHADES), 0, N_SHADES).astype(int)
+    shades = np.clip(np.ceil(values / full * N_SHADES), 1, N_SHADES).astype(int)
     w, h = (_FILL * pitch).round(2)
     paths = []
     for shade in np.unique(shades):

@@ -157,7 +157,7 @@ def test_darker_shade_means_more_pressure_and_a_touched_side_is_drawn(recording)
     values[:4] = (0.0, 50.0, 130.0, 255.0)
     pad = ElementTree.fromstring(pad_svg(1e3 * LAYOUT.taxel_xy_m[taxels], values, 255.0, "a"))
     rects = {path.get("class"): str(path.get("d")).count("z") for path in pad}
-    assert rects == {"s0": 61, "s3": 1, "s7": 1, "s12": 1}
+    assert rects == {"s1": 61, "s3": 1, "s7": 1, "s12": 1}
     assert pad.get("viewBox") == "0 0 55 20"
     grasp = recording.grasps[0]
     names, gripping = [pad.name for pad in LAYOUT.pads], LAYOUT.gripping_pads
