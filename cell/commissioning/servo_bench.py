@@ -221,6 +221,8 @@ def open_rig(bench: Bench, port: str, dialog: Dialog) -> Iterator[Rig]:
     Raises StepFailed unless one servo of a known model answers, without torque.
     """
     rate, servo_id, model = lone_servo(bench, dialog, port)
+    if model.ram_shift:
+        raise StepFailed(f"a {model.name} is a whole gripper: there is no bench for it")
     with bench.servo_bus(port, rate) as bus:
         rig = Rig(bus, servo_id, model, bench.clock)
         if rig.read("torque_enable"):
@@ -520,6 +522,7 @@ def heat(rig: Rig, dialog: Dialog) -> Values:
     half = 0.5 if rig.model.supply_current else 1.0
     for current_a in (half * share * rig.model.stall_current_a for share in _HOT_SHARES):
         _press(rig, current_a)
+        rig.clock.sleep(_COUNT_S)  # Present PWM is late
         rows = rig.watch(f"hold {current_a:.2f} A", _HOLD_S, lambda row: not row.pwm_share)
         tripped = bool(rig.read("hardware_error_status")) or not rig.read("torque_enable")
         rig.write(torque_enable=0)

@@ -238,7 +238,8 @@ def measured_drive(path: Path, model: ServoModel) -> DriveCharacteristic:
     changes: dict[str, float] = {}
     if (rising := values.get("rising_a_nm")) is not None:
         kt_nm_a = 1.0 / rising
-        changes |= {"rising_a_nm": rising, "falling_a_nm": rising, "kt_nm_a": kt_nm_a}
+        falls = rising * drive.falling_a_nm / drive.rising_a_nm
+        changes |= {"rising_a_nm": rising, "falling_a_nm": falls, "kt_nm_a": kt_nm_a}
         changes["load_sd"] = _SCALE_SD
     if (falling := values.get("falling_a_nm")) is not None:
         changes["falling_a_nm"] = falling

@@ -286,6 +286,7 @@ def bench(
         with as_interrupts(), open_rig(Bench(folder), port, dialog) as rig:
             files = run_bench(rig, dialog, folder)
     except (KeyboardInterrupt, WizardAborted):
-        print_note(f"left: cut the supply if the arm still presses; measured values: in {folder}")
+        kept = f"; measured values: in {folder}" if folder.exists() else ""
+        print_note(f"left: cut the supply if the arm still presses{kept}")
         raise typer.Exit(1) from None
     print_line(f"written: {', '.join(map(str, files))}")

@@ -7,7 +7,10 @@ export function setText(node, text) {
 }
 
 export function show(node, visible) {
-  if (node.hidden === visible) node.hidden = !visible;
+  if (node.hidden !== visible) return;
+  const focused = !visible && node.contains(document.activeElement);
+  node.hidden = !visible;
+  if (focused) byId("state").focus();  // a screen reader reads what is new
 }
 
 // One element with attributes; its children are nodes or texts.
