@@ -24,8 +24,8 @@ from canopen.profiles.p402 import State402
 from cell.build import drive_bus
 from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
-from cell.config.tactile import layout_from_config
-from cell.control.axes import drive_axes, si_per_unit
+from cell.config.tactile import layout_from_config, link_settings
+from cell.control.axes import drive_axes
 from cell.simulation import simulation_of
 from gripper.clock import Clock
 from gripper.dynamixel import control_table as table
@@ -35,7 +35,7 @@ from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import BusTimeout, ServoRejected
 from motion import object_dictionary as motion_od
 from motion.axes import Axes, Watch
-from motion.drive import Cia402Drive, DriveBus
+from motion.drive import Cia402Drive
 from motion.errors import AxisNotOperational
 from motion.object_dictionary import ModeOfOperation, state_of
 from pytest_tactile_cell.bench import LinkBench
@@ -45,7 +45,6 @@ from simulator.servo.protocol2 import crc16
 from tactile.can.bus import CanBus, close_bus
 from tactile.control_unit import object_dictionary as od
 from tactile.control_unit.node import TactileLink
-from tactile.control_unit.settings import LinkSettings
 from tactile.errors import ObjectRefused
 from tactile.source import TactileFrame
 from tests.faults.campaign import CHANGES
@@ -221,9 +220,7 @@ def unit(
         bus,
         node_id=wanted.node_id,
         layout=layout_from_config(wanted),
-        settings=LinkSettings(
-            sync_period_s=wanted.sync_period_ms * 1e-3, heartbeat_s=wanted.heartbeat_ms * 1e-3
-        ),
+        settings=link_settings(wanted),
     )
     opened = Unit(bus=bus, clock=clock, node_id=wanted.node_id, link=link)
     opened.clock.sleep(POWER_UP_S)
@@ -239,26 +236,19 @@ class Drive:
 
     device: Cia402Drive
     axes: Axes
-    name: str
-    low: float
-    high: float
-    bus: DriveBus
-    node_id: int
     clock: Clock
     may_move: bool
 
-    def heard(self, cob_id: int, seconds: float) -> list[tuple[float, bytes]]:
-        """Return time and data of the messages of an identifier that come within so many s."""
-        messages: list[tuple[float, bytes]] = []
-        self.bus.subscribe(
-            cob_id,
-            lambda _id, data, _time_s: messages.append((self.clock.monotonic(), bytes(data))),
-        )
+    def heartbeats(self, seconds: float) -> list[bytes]:
+        """Return the data of the heartbeats that come within so many s."""
+        bus, beats = self.device._bus, list[bytes]()
+        cob_id = motion_od.COB_HEARTBEAT + self.device.settings.node_id
+        bus.subscribe(cob_id, lambda _id, data, _time_s: beats.append(bytes(data)))
         end_s = self.clock.monotonic() + seconds
         while (left_s := end_s - self.clock.monotonic()) > 0:
-            self.bus.wait(left_s)
-            self.bus.service()
-        return messages
+            bus.wait(left_s)
+            bus.service()
+        return beats
 
 
 @pytest.fixture
@@ -282,16 +272,10 @@ def drive(request: pytest.FixtureRequest) -> Iterator[Drive]:
         axes = Axes(drive_axes([axis], bus, watch, loss_s=loss_s), watch)
         device = axes._axes[axis.moves]
         assert isinstance(device, Cia402Drive)
-        si = si_per_unit(axis.moves)
         device.identify()
         yield Drive(
             device=device,
             axes=axes,
-            name=axis.moves,
-            low=axis.low * si,
-            high=axis.high * si,
-            bus=device._bus,
-            node_id=axis.node_id,
             clock=clock,
             may_move=request.param == "simulator" or request.config.getoption("allow_motion"),
         )
@@ -306,7 +290,7 @@ READ, WRITE = 0x02, 0x03
 UNKNOWN_INSTRUCTION = 0x77
 RESULT_INSTRUCTION, RESULT_CRC, RESULT_RANGE = 2, 3, 4
 RESULT_LENGTH, RESULT_LIMIT, RESULT_ACCESS = 5, 6, 7
-PROFILE = table.RegisterBlock(table.PROFILE_ACCELERATION, table.PROFILE_VELOCITY)
+PROFILE = (table.PROFILE_ACCELERATION, table.PROFILE_VELOCITY)
 LED_ON = b"\x41\x00\x01"
 """Address 65 and the value 1."""
 
@@ -349,16 +333,6 @@ def test_what_is_written_is_read_back(servos: Any) -> None:
             assert servos.bus.read(servos.one, table.PROFILE_VELOCITY) == raw
 
 
-def test_a_sync_read_tells_what_single_reads_tell(servos: Any) -> None:
-    with servos.restoring(table.PROFILE_ACCELERATION, table.PROFILE_VELOCITY):
-        for servo_id in servos.ids:
-            servos.bus.write(servo_id, table.PROFILE_VELOCITY, 100 + servo_id)
-        answer = servos.bus.sync_read(servos.ids, PROFILE)
-        assert list(answer) == list(servos.ids)
-        for servo_id in servos.ids:
-            assert answer[servo_id]["profile_velocity"] == 100 + servo_id
-
-
 def test_present_values_are_plausible_at_rest(servos: Any) -> None:
     answer = servos.bus.sync_read(
         servos.ids, table.RegisterBlock.between(table.PRESENT_CURRENT, table.PRESENT_POSITION)
@@ -374,13 +348,15 @@ def test_a_sync_read_with_an_absent_servo_gives_nothing(servos: Any) -> None:
     assert servos.bus.sync_read((servos.one,), table.RegisterBlock(table.LED))
 
 
-def test_a_sync_write_reaches_all(servos: Any) -> None:
-    with servos.restoring(table.PROFILE_ACCELERATION, table.PROFILE_VELOCITY):
+def test_a_sync_write_reaches_all_and_a_sync_read_tells_what_single_reads_tell(servos: Any) -> None:
+    with servos.restoring(*PROFILE):
         wanted = {servo_id: (servo_id, 200 + servo_id) for servo_id in servos.ids}
-        servos.bus.sync_write(wanted, PROFILE)
-        for servo_id, (acceleration, velocity) in wanted.items():
-            assert servos.bus.read(servo_id, table.PROFILE_ACCELERATION) == acceleration
-            assert servos.bus.read(servo_id, table.PROFILE_VELOCITY) == velocity
+        servos.bus.sync_write(wanted, table.RegisterBlock(*PROFILE))
+        answer = servos.bus.sync_read(servos.ids, table.RegisterBlock(*PROFILE))
+        assert list(answer) == list(servos.ids)
+        for servo_id, raws in wanted.items():
+            assert tuple(servos.bus.read(servo_id, register) for register in PROFILE) == raws
+            assert tuple(answer[servo_id].values()) == raws
 
 
 def test_a_damaged_packet_is_refused_or_ignored_and_never_carried_out(servos: Any) -> None:
@@ -552,9 +528,9 @@ def test_it_is_a_drive_with_the_modes_that_are_needed(drive: Any) -> None:
 
 def test_its_heartbeat_comes_as_often_as_it_shall(drive: Any) -> None:
     drive.device._write("Producer heartbeat time", 50)
-    beats = drive.heard(motion_od.COB_HEARTBEAT + drive.node_id, 1.0)
+    beats = drive.heartbeats(1.0)
     assert 15 <= len(beats) <= 25
-    assert all(len(data) == 1 and data[0] & 0x7F in (4, 5, 127) for _, data in beats)
+    assert all(len(data) == 1 and data[0] & 0x7F in (4, 5, 127) for data in beats)
 
 
 def test_a_stopped_drive_beats_on_and_answers_no_sdo(drive: Any) -> None:
@@ -563,8 +539,7 @@ def test_a_stopped_drive_beats_on_and_answers_no_sdo(drive: Any) -> None:
     with pytest.raises(AxisNotOperational, match="NMT state stopped"):
         drive.device.identify()
     drive.device.clear_fault(reboot=False)
-    beats = drive.heard(motion_od.COB_HEARTBEAT + drive.node_id, 0.5)
-    assert {data[0] & 0x7F for _, data in beats[1:]} == {5}
+    assert {data[0] & 0x7F for data in drive.heartbeats(0.5)[1:]} == {5}
 
 
 def test_what_is_set_up_is_read_back(drive: Any) -> None:
@@ -597,13 +572,14 @@ def test_it_goes_to_both_ends_and_stops_quickly_on_the_way(drive: Any) -> None:
     if not drive.may_move:
         pytest.skip("needs motion: --allow-motion")
     axis = drive.device
-    near = axis.settings.window
-    middle, way = 0.5 * (drive.low + drive.high), 0.4 * (drive.high - drive.low)
+    settings = axis.settings
+    low, high, near = settings.low, settings.high, settings.window
+    middle, way = 0.5 * (low + high), 0.4 * (high - low)
     for target in (middle - way, middle + way):
-        reached = drive.axes.move({drive.name: target})[drive.name]
+        reached = drive.axes.move({axis.name: target})[axis.name]
         assert reached == pytest.approx(target, abs=near)
 
-    half_s = way / axis.settings.velocity
+    half_s = way / settings.velocity
     began_s = drive.clock.monotonic()
 
     def stop() -> None:
@@ -611,6 +587,6 @@ def test_it_goes_to_both_ends_and_stops_quickly_on_the_way(drive: Any) -> None:
             raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        drive.axes.move({drive.name: middle - way}, stop)
+        drive.axes.move({axis.name: middle - way}, stop)
     assert drive.device._state() == "QUICK STOP ACTIVE"
     assert middle - way + near < axis.position < middle + way

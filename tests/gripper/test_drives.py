@@ -28,14 +28,11 @@ def drives(cell: Any) -> list[DriveCharacteristic]:
     return list(cell.gripper.read_drives().drives.values())
 
 
-def true_friction_a(motor: Any) -> float:
-    return float(motor.friction_nm() / motor.kt_nm_a)
-
-
-def check_friction(cell: Any, rel: float = 0.1) -> None:
+def check_friction(cell: Any, rel: float = 0.1, abs_a: float | None = None) -> None:
     """Check that the friction of each servo is known."""
     known_a = [drive.breakaway_a for drive in drives(cell)]
-    assert known_a == pytest.approx([true_friction_a(motor) for motor in cell.motors], rel=rel)
+    true_a = [motor.friction_nm() / motor.kt_nm_a for motor in cell.motors]
+    assert known_a == pytest.approx(true_a, rel=rel, abs=abs_a)
 
 
 @pytest.mark.slow
@@ -69,8 +66,7 @@ def test_stiff_or_unlike_servos_that_nobody_measured_open_at_their_start(
         motor.kt_factor = kt
     cell.gripper.open()
     assert cell.gripper._servos.read_patiently().aperture_m == pytest.approx(0.03, abs=0.001)
-    for motor, drive in zip(cell.motors, drives(cell), strict=True):
-        assert drive.breakaway_a == pytest.approx(true_friction_a(motor), rel=0.1, abs=0.012)
+    check_friction(cell, abs_a=0.012)
 
 
 @pytest.mark.slow
@@ -127,7 +123,7 @@ def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(make_started)
     assert "servo 2: its free motion takes 1." in note
     assert "a cable drags, or it is worn or cold. It is measured anew" in note
     assert not cell.gripper.read_drives().notes
-    assert drives(cell)[1].breakaway_a == pytest.approx(true_friction_a(cell.motors[1]), rel=0.1)
+    check_friction(cell)
 
 
 @pytest.mark.slow
@@ -147,7 +143,7 @@ def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(make_started
     cell.gripper.clear_fault()
     cell.gripper.release()
     cell.gripper.measure_friction()
-    assert drives(cell)[0].breakaway_a == pytest.approx(true_friction_a(cell.motors[0]), rel=0.1)
+    check_friction(cell)
 
 
 @pytest.mark.slow

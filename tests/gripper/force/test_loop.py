@@ -121,17 +121,6 @@ def test_a_ramp_never_catches_up_with_a_jump(make_started, stall_s: float, times
     assert statistics.lateness.max_s == pytest.approx(stall_s, abs=0.006)
 
 
-def test_transactions_and_the_age_of_the_force_are_counted(cell) -> None:
-    cell.hold_part(RAMP)
-    statistics = cell.gripper.statistics
-    assert statistics.transaction.n >= statistics.cycles
-    assert 2e-4 < statistics.transaction.p50_s < 3e-3
-    assert statistics.sensor_age.n > 100
-    assert 0.0 < statistics.sensor_age.max_s < 0.06
-    assert statistics.lateness.n == statistics.cycles
-    assert statistics.lateness.max_s < 1e-6
-
-
 @pytest.mark.parametrize(("stiffness_n_m", "at_s"), [(1e3, 0.08), (2000.0, 0.05), (5000.0, 0.08)])
 def test_the_force_is_known_after_a_stall_on_a_ramp(make_started, stiffness_n_m, at_s) -> None:
     """A push that goes on for 50 ms moves the part by much more than in one period."""

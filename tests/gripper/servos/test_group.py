@@ -5,7 +5,7 @@ from unittest.mock import DEFAULT, Mock
 
 import pytest
 
-from gripper.errors import BusTimeout, GripperStateError, LimitExceeded, ServoFault
+from gripper.errors import BusTimeout, GripperStateError, ServoFault
 from gripper.force.ramp import ForceRamp
 from gripper.servos.bus_loss import BusLossMonitor
 from gripper.servos.goal_limits import ServoGoal
@@ -99,37 +99,6 @@ def test_a_silent_servo_does_not_keep_the_other_watchdog_armed(cell) -> None:
     with pytest.raises(BusTimeout):
         cell.gripper.keep_grip()
     assert cell.servos[1].registers.get("bus_watchdog") == 0
-
-
-def test_a_trip_between_two_questions_is_found(cell, monkeypatch) -> None:
-    """An answer that is lost for long enough lets the watchdog trip behind the last look at it."""
-    cell.hold_part(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.3))
-    read, slept = cell.bus.read, []
-
-    def late(servo_id, register):
-        raw = read(servo_id, register)
-        if register.name == "bus_watchdog" and servo_id == 2 and not slept:
-            slept.append(cell.clock.sleep(0.5))
-        return raw
-
-    monkeypatch.setattr(cell.bus, "read", late)
-    cell.peak_n = cell.force_n
-    with pytest.raises(ServoFault, match="watchdog has tripped"):
-        cell.gripper.hold(0.5)
-    let_time_pass(cell)
-    assert cell.peak_n < 6.5
-
-
-def test_a_part_that_nobody_watched_for_a_while_is_left_with_a_lasting_current(make_cell) -> None:
-    cell = make_cell(force_max_n=50.0, watchdog_s=0.5)
-    cell.hold_part(ForceRamp.linear(20.0, 20.0))
-    with pytest.raises(LimitExceeded, match="duration_s is nan"):
-        cell.gripper.hold_at(20.0, float("nan"))
-    cell.gripper.hold_at(20.0, 0.2)
-    cell.clock.sleep(0.2)
-    cell.gripper.keep_grip()
-    lasting = [servo.servo_model.holding_a for servo in cell.settings.servos]
-    assert [goal.current_a for goal in cell.gripper._servos.goals.last] == pytest.approx(lasting)
 
 
 def test_the_part_of_another_program_is_not_let_go_without_a_start(cell) -> None:

@@ -156,16 +156,6 @@ def test_a_hot_winding_is_lowered_evenly_and_keeps_its_holding_current_until_it_
     assert heat.limit_a == XM430_W350.stall_current_a
 
 
-def test_a_pause_without_readings_counts_with_the_last_current() -> None:
-    heat = WindingHeat(XL330_M288)
-    heat.add(0.0, 0.7)
-    heat.add(0.9, 0.0)
-    assert not heat.hot
-    heat.add(1.0, 0.7)
-    heat.add(2.0, 0.0)
-    assert heat.hot
-
-
 def test_a_grip_beyond_the_holding_current_gets_a_note_with_its_time() -> None:
     mechanics = Mechanics(settings := GripperSettings(), ParallelLinkage(link_m=0.06))
     assert heat_note(5.0, mechanics) == ""

@@ -5,13 +5,7 @@ from dataclasses import replace
 import pytest
 
 from benchmarks.performance.force_ramps import NOISE_N, PARTS, Rig
-from gripper.errors import (
-    ForceAboveCap,
-    ForceImbalance,
-    ForceSensorStale,
-    GripContradicted,
-    LimitExceeded,
-)
+from gripper.errors import ForceAboveCap, ForceImbalance, GripContradicted
 from gripper.force.estimates.grip import Grip
 from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp
@@ -223,48 +217,6 @@ def test_a_light_part_is_not_lost_in_the_noise_of_single_scans(make_started, for
     cell.gripper.hold(5.0)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("stalls_s", [LONG(0.05), 0.15, 0.2])
-def test_a_part_is_not_lost_because_the_loop_stalls(make_started, stalls_s) -> None:
-    # A force that overshoots in a stall comes back at once: that is no slip.
-    cell = make_started(
-        force_stale_s=0.3, stall_max_s=0.25, watchdog_s=0.5, bus_loss_s=0.3, slip_drop_n=2.0
-    )
-    periods = 0
-
-    def stall(cycle) -> None:
-        nonlocal periods
-        periods += 1
-        if periods % 40 == 0:
-            cell.clock.sleep(stalls_s)
-
-    assert cell.gripper.grasp(RAMP, stall).result is GraspResult.FORCE_REACHED
-    cell.gripper.hold(1.5, stall)
-    assert cell.force_n == pytest.approx(4.0, abs=0.5)
-
-
-@pytest.mark.parametrize(
-    ("in_s", "final_n", "rate_hz"),
-    [(0.0, 0.7, None), (0.0, 4.0, 500.0), (2.0, 0.7, 500.0), (2.0, 4.0, None)],
-    ids=["ramp", "ramp, messages", "hold, messages", "hold"],
-)
-def test_pads_whose_zero_jumps_do_not_let_a_part_go(make_started, in_s, final_n, rate_hz) -> None:
-    """The fingers stand and press as before: it is no force that there is too much of."""
-    # A slow touch adds no force, which would have to fall first.
-    cell = make_started(rate_hz=rate_hz, approach_speed_m_s=0.008)
-    held_n: list[float] = []
-
-    def jump() -> None:
-        cell.sensor.offset_n, cell.least_n = 4.0, cell.force_n
-        held_n.append(cell.force_n)
-
-    observe = cell.once(jump, at_n=0.1, in_s=in_s)
-    with pytest.raises(LimitExceeded, match=r"their zero has jumped, or .* the grip kept"):
-        cell.gripper.grasp(ForceRamp.linear(final_n, rate_n_s=20.0, hold_s=1.5), observe)
-    cell.clock.sleep(1.0)
-    assert cell.least_n > 0.8 * held_n[0] > 0.3
-
-
 @pytest.mark.parametrize("rate_hz", [None, 500.0])
 def test_a_force_that_jumps_above_the_cap_is_told_as_that(make_cell, rate_hz) -> None:
     """It may be less above the cap than noise alone may be: the jump shows that it is none."""
@@ -288,34 +240,6 @@ def test_fingers_that_pads_send_through_the_air_stop_before_they_hit_the_part(
     cell.clock.sleep(1.0)
     assert cell.peak_n == 0.0
     assert cell.mechanics.aperture_m > 0.012
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("loop_rate_hz", "stiffness_n_m", "at_n", "valid"),
-    [(100.0, 5e4, 5.3, True), (200.0, 3e3, 13.0, False), (100.0, 1e4, 13.4, False)],
-)
-def test_pads_that_report_too_little_let_no_force_above_the_cap(
-    make_started, loop_rate_hz, stiffness_n_m, at_n, valid
-) -> None:
-    """Only the current bounds the force then, and inertia adds to what it makes."""
-    cell = make_started(
-        width_m=0.03,
-        stiffness_n_m=stiffness_n_m,
-        aperture_m=0.034,
-        aperture_open_m=0.036,
-        force_max_n=15.0,
-        loop_rate_hz=loop_rate_hz,
-    )
-
-    def fail() -> None:
-        cell.sensor.gain, cell.sensor.valid = 0.4, valid
-
-    with pytest.raises(LimitExceeded if valid else ForceSensorStale):
-        cell.gripper.grasp(
-            ForceRamp.linear(13.6, rate_n_s=20.0, hold_s=0.5), cell.once(fail, at_n=at_n)
-        )
-    assert 12.0 < cell.peak_n < 15.1
 
 
 def test_closed_fingers_that_feel_a_little_name_a_small_part(make_started) -> None:
