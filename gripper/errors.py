@@ -1,6 +1,6 @@
 """Errors of the gripper: one small tree, each message names cause, value, limit and remedy."""
 
-from gripper.values.servo_checks import VerificationReport, hardware_error_names
+from gripper.values.servo_checks import VerificationReport, hardware_errors_text
 
 _RESULT_CODES = {
     1: "Result Fail: the command was not carried out",
@@ -70,7 +70,7 @@ class ServoFault(GripperError):
     def __init__(
         self, servo_id: int, detail: str, *, bits: int = 0, torque_lost: bool = False
     ) -> None:
-        names = ", ".join(hardware_error_names(bits)) or "no hardware error bit"
+        names = hardware_errors_text(bits) or "no hardware error bit"
         super().__init__(
             f"servo {servo_id}: {detail} (Hardware Error Status 0x{bits:02X}: {names})"
         )

@@ -10,23 +10,13 @@ from dataclasses import replace
 from math import inf
 from typing import Self
 
+from gripper import errors
 from gripper.clock import Clock
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_POSITION
 from gripper.dynamixel.drive import DriveCharacteristic, DriveReport
 from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.serial_port import ByteStream, open_line
-from gripper.errors import (
-    BusCorrupt,
-    BusTimeout,
-    FeedbackImplausible,
-    GripperError,
-    GripperStateError,
-    LimitExceeded,
-    ServoFault,
-    VerificationFailed,
-    WatchdogUnproven,
-)
 from gripper.force.approach.empty_motion import FirstMotion, MoveTo, StandStill
 from gripper.force.approach.mechanics_proof import standing_rows
 from gripper.force.control.grip_control import GripControl
@@ -34,7 +24,7 @@ from gripper.force.estimates.free_motion import FreeMotion
 from gripper.force.grasp import GraspRun, GripStep, HoldStep
 from gripper.force.load_trial import LoadTrial
 from gripper.force.loop import LoopRunner, Running
-from gripper.force.ramp import ForceRamp, check_ramp, largest_ramp_n
+from gripper.force.ramp import ForceRamp, check_ramp
 from gripper.force.timing import LoopStatistics
 from gripper.lifecycle import Lifecycle, bus_is_lost
 from gripper.mechanics.identification import fit_load
@@ -99,9 +89,9 @@ class Gripper:
         self._servos = servos = Servos(bus, mechanics, clock)
         self._sensor = force_sensor
         self._life = life = Lifecycle(servos, force_sensor, clock)
-        self._runner = runner = LoopRunner(servos, force_sensor, settings, clock, life.state)
-        self._free = FreeMotion(mechanics)
-        self._grasping = GraspRun(runner, mechanics, life.set_phase, self._free)
+        self._runner = runner = LoopRunner(servos, force_sensor, clock, life.state)
+        self._free = FreeMotion(runner)
+        self._grasping = GraspRun(runner, life.set_phase, self._free)
         self._link_checked = self._watchdog_proven = False
         self._carried: Running | None = None
         self._finger: Gripper | None = None
@@ -133,7 +123,7 @@ class Gripper:
     @property
     def statistics(self) -> LoopStatistics:
         """Timing of the loop."""
-        return self._runner.statistics
+        return self._runner.timer.statistics()
 
     def start(self) -> VerificationReport:
         """Verify the servos; nothing moves and no torque is switched.
@@ -157,7 +147,7 @@ class Gripper:
         self._servos.require_present()
         self.bus.demand_answers(self._ids)
         for servo_id, seen in self._servos.feedback.check.strayed.items():
-            raise FeedbackImplausible(
+            raise errors.FeedbackImplausible(
                 f"servo {servo_id}: {seen}, and it was not restarted since then: the position of "
                 f"its finger is unknown, and nothing is moved. Check encoder, horn and linkage, "
                 f"then clear the fault with a reboot"
@@ -249,7 +239,7 @@ class Gripper:
         self._life.check_ready("open")
         target_m = self.settings.aperture_open_m if aperture_m is None else aperture_m
         if not self.settings.aperture_min_m <= target_m <= self.settings.aperture_open_m:
-            raise LimitExceeded(
+            raise errors.LimitExceeded(
                 f"aperture_m is {target_m}, must be from {self.settings.aperture_min_m} to "
                 f"{self.settings.aperture_open_m}"
             )
@@ -268,16 +258,11 @@ class Gripper:
             prove_watchdog(self._servos, self._clock)
             self._watchdog_proven = True
             state = self._move_to(target_m)
-        except WatchdogUnproven:
+        except errors.WatchdogUnproven:
             self._life.part_possible = False
             raise
         self._life.part_possible = False
         return state
-
-    @property
-    def largest_ramp_n(self) -> float:
-        """Largest force in N of a ramp: by its limit, and by the current as measured."""
-        return largest_ramp_n(self.mechanics)
 
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Raise LimitExceeded when `grasp` would refuse a ramp; does not use the servos."""
@@ -332,14 +317,14 @@ class Gripper:
         """
         control = self._held_control("hold")
         if not duration_s > 0.0:
-            raise LimitExceeded(f"duration_s is {duration_s}, must be above 0")
+            raise errors.LimitExceeded(f"duration_s is {duration_s}, must be above 0")
         with self._life.command("hold", observer):
             self._make_ready()
             try:
                 return self._runner.run(HoldStep(self.settings, control, duration_s).step)
             finally:
                 if self._carried is not None:
-                    with suppress(GripperError):
+                    with suppress(errors.GripperError):
                         self._servos.disarm_watchdog()
 
     def hold_at(
@@ -360,7 +345,7 @@ class Gripper:
         """
         control = self._held_control("hold_at")
         if not duration_s >= 0.0:
-            raise LimitExceeded(f"duration_s is {duration_s}, must be at least 0")
+            raise errors.LimitExceeded(f"duration_s is {duration_s}, must be at least 0")
         ramp = ForceRamp.linear(force_n, HOLD_AT_RATE_N_S, start_n=control.grip.setpoint_n)
         self.check_ramp(ramp)
         self._carried = None
@@ -391,7 +376,7 @@ class Gripper:
         self.check_ramp(ramp)
         held_n = control.grip.setpoint_n
         if not held_n < ramp.final_n:
-            raise LimitExceeded(
+            raise errors.LimitExceeded(
                 f"the further ramp ends at {ramp.final_n} N, it must end above the held {held_n} "
                 f"N: ask for more force, or carry the part with less force first"
             )
@@ -437,7 +422,7 @@ class Gripper:
             state = self._servos.read_patiently()
             paths = mechanics.transmissions(state.angles_rad)
             most_a = _CURRENT_SHARE * settings.current_max_a
-            bearable_n = min(path.force_band_n(most_a)[0] for path in paths)
+            bearable_n = min(path.loaded_n(most_a) for path in paths)
             high_n = min(_HIGH_SHARE * control.grip.setpoint_n, bearable_n)
             if high_n - low_n < _LEAST_SPAN_N or len(paths) < 2:
                 return ()
@@ -576,7 +561,7 @@ class Gripper:
             When no servo answers.
         """
         if self._life.running:
-            raise GripperStateError("clear_fault is not possible while a command runs")
+            raise errors.GripperStateError("clear_fault is not possible while a command runs")
         self.bus.demand_answers(self._ids)
         conditions = self.conditions()
         if not any(condition.answers for condition in conditions):
@@ -588,7 +573,7 @@ class Gripper:
             conditions = self.conditions()
         for condition in conditions:
             if condition.error_bits:
-                raise ServoFault(
+                raise errors.ServoFault(
                     condition.servo_id,
                     "the error lasts after a reboot: remedy its cause, then clear it again"
                     if reboot
@@ -619,7 +604,7 @@ class Gripper:
         if self._life.phase is GripperPhase.OFF or self._life.motion_unconfirmed:
             return
         # Without a bus nothing can be changed; the grip stays as it is.
-        with suppress(GripperError):
+        with suppress(errors.GripperError):
             if self._life.phase is GripperPhase.IDLE and self._life.fault is None:
                 self._servos.switch_off()
                 self._life.switched_off()
@@ -633,7 +618,7 @@ class Gripper:
         """Close and follow a ramp as `grasp`, and keep what is held."""
         self._life.check_ready("grasp")
         if self.settings.watchdog_self_test and not self._watchdog_proven:
-            raise GripperStateError(
+            raise errors.GripperStateError(
                 "grasp needs the self-test of the bus watchdog first (watchdog_self_test is on): "
                 "open the gripper, the test follows"
             )
@@ -658,13 +643,16 @@ class Gripper:
             return
         if carried is not None or self._servos.heats:
             # The feedback may be old.
-            with suppress(BusTimeout, BusCorrupt):
+            with suppress(errors.BusTimeout, errors.BusCorrupt):
                 self._servos.read_patiently()
                 self._servos.freeze()
 
     def _held_control(self, command: str) -> GripControl:
+        """Return the control of the held part. Raises GripperStateError without a part."""
         self._life.check_ready(command)
-        return self._grasping.held(command)
+        if self._grasping.control is None:
+            raise errors.GripperStateError(f"{command} needs a grasp before it")
+        return self._grasping.control
 
     def _check_link(self, ids: Sequence[int]) -> None:
         check_link(self.bus, ids, self.settings.period_s)
@@ -685,7 +673,7 @@ class Gripper:
                 _check_standing(standing_rows(self.mechanics, positions_raw))
                 self._grasping.start_proving()
             elif not (releasing or self._life.part_possible):
-                raise GripperStateError(
+                raise errors.GripperStateError(
                     "a servo has torque from before this program, so a part may be held: it is "
                     "kept. Clear the fault, then release, or call start first"
                 )
@@ -713,7 +701,7 @@ class Gripper:
             # A part that is let go, and foam, push the fingers open at first.
             return abs(now.aperture_m - state.aperture_m) >= _CLEAR_M
 
-        return self._free.run(self._runner, move.step, is_free, needs_force=False)
+        return self._free.run(move.step, is_free, needs_force=False)
 
     def _open_finger(self, left: ServoCondition, observer: Observer | None) -> ReleaseReport:
         """Open one finger alone; do not touch the servo of the other one."""
@@ -730,7 +718,7 @@ class Gripper:
         self._life.state.phase, self._life.running = GripperPhase.RELEASING, True
         try:
             state = finger.release(observer).state
-            with suppress(GripperError):
+            with suppress(errors.GripperError):
                 finger._servos.switch_off()
         finally:
             self._finger, self._life.running = None, False
@@ -743,14 +731,14 @@ class Gripper:
         conditions = self.conditions()
         if not any(condition.answers for condition in conditions):
             self._servos.require_present()
-            raise BusTimeout(
+            raise errors.BusTimeout(
                 "the servos answer only sometimes, and nothing was moved: check cable and "
                 "supply, then release again"
             )
         able = [condition.servo_id for condition in conditions if condition.able]
         if not able:
             limp = next(condition for condition in conditions if condition.answers)
-            raise ServoFault(
+            raise errors.ServoFault(
                 limp.servo_id,
                 f"no finger can be opened: {'; '.join(map(str, conditions))}. Take the part out "
                 f"by hand, or remedy the cause, clear the error with a reboot and release again",
@@ -776,7 +764,7 @@ def _check_standing(rows: tuple[VerificationRow, ...]) -> None:
     """Raise VerificationFailed where a finger stands where the settings exclude it."""
     report = VerificationReport(rows=rows)
     if not report.ok:
-        raise VerificationFailed(report)
+        raise errors.VerificationFailed(report)
 
 
 def open_gripper(

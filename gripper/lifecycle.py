@@ -7,26 +7,12 @@ from math import inf
 from operator import gt
 from typing import NamedTuple
 
+from gripper import errors
 from gripper.clock import Clock
-from gripper.errors import (
-    BusCorrupt,
-    BusTimeout,
-    FeedbackImplausible,
-    FingerBlocked,
-    FingerSilent,
-    ForceAboveCap,
-    GraspStopped,
-    GripperError,
-    GripperStateError,
-    PortLost,
-    PositionContradicted,
-    ServoFault,
-    note_fingers,
-)
 from gripper.force.loop import CommandState
 from gripper.mechanics.impact import most_peak_n
 from gripper.servos.goal_limits import standing
-from gripper.servos.group import Servos, lowered
+from gripper.servos.group import Servos
 from gripper.values.force_sensor import ForceSensor
 from gripper.values.state import GripperPhase, Observer, shows_nothing
 
@@ -91,9 +77,8 @@ _GRIP_LEFT = {
 
 def bus_is_lost(error: BaseException | None) -> bool:
     """Return whether a fault means that no servo answers on the bus any more."""
-    return isinstance(error, PortLost | BusTimeout | BusCorrupt) and not isinstance(
-        error, FingerSilent
-    )
+    lost = isinstance(error, errors.PortLost | errors.BusTimeout | errors.BusCorrupt)
+    return lost and not isinstance(error, errors.FingerSilent)
 
 
 class Lifecycle:
@@ -155,16 +140,16 @@ class Lifecycle:
     def check_ready(self, command: str) -> None:
         """Raise GripperStateError when a command is not possible now; see `COMMANDS`."""
         if self.running:
-            raise GripperStateError(f"{command} is not possible while another command runs")
+            raise errors.GripperStateError(f"{command} is not possible while another command runs")
         if self.fault is not None:
-            raise GripperStateError(
+            raise errors.GripperStateError(
                 f"{command} is not possible while a fault is latched ({self.fault}): call "
                 f"clear_fault first"
             )
         phases = COMMANDS[command].phases
         if phases and self.state.phase not in phases:
             hint = ": release the part first" if self.part_possible else ""
-            raise GripperStateError(
+            raise errors.GripperStateError(
                 f"{command} is not possible in the state {self.state.phase.name}{hint}"
             )
 
@@ -177,7 +162,7 @@ class Lifecycle:
         self.running = True
         try:
             yield
-        except GraspStopped as stop:
+        except errors.GraspStopped as stop:
             self._stop(stop)
             raise
         except BaseException as error:
@@ -196,18 +181,18 @@ class Lifecycle:
     def latch(self, error: BaseException) -> None:
         """Latch an error as a fault, and keep the grip."""
         self.fault = error
-        self.part_possible |= isinstance(error, FingerBlocked)
+        self.part_possible |= isinstance(error, errors.FingerBlocked)
         phase, self.state.phase = self.state.phase, GripperPhase.HELD_AFTER_FAULT
         left = FingersLeft.UNCONFIRMED
         # The raised error names the cause; a bus that fails again adds nothing.
-        with suppress(GripperError):
+        with suppress(errors.GripperError):
             left = self._respond(error, moving=phase.moving)
         self._note_fingers(error, phase, left)
         self.motion_unconfirmed = phase.moving and left is FingersLeft.UNCONFIRMED
 
-    def _stop(self, stop: GraspStopped) -> None:
+    def _stop(self, stop: errors.GraspStopped) -> None:
         if not self.state.phase.moving:
-            with suppress(GripperError):
+            with suppress(errors.GripperError):
                 self._servos.freeze()
             return
         with self._servos.in_loop():
@@ -215,7 +200,7 @@ class Lifecycle:
         if not unconfirmed:
             self._note_fingers(stop, self.state.phase, FingersLeft.STOPPED)
             return
-        error = ServoFault(unconfirmed[0], "it did not take the goal to stand still")
+        error = errors.ServoFault(unconfirmed[0], "it did not take the goal to stand still")
         self._note_fingers(error, self.state.phase, FingersLeft.UNCONFIRMED)
         self.fault, self.motion_unconfirmed = error, True
         raise error from stop
@@ -233,13 +218,13 @@ class Lifecycle:
             # Without a grasp it is unknown whether something is between the fingers.
             empty = shows_nothing(
                 state, self._servos.goals.fresh_force, self._servos.settings.contact_force_n
-            ) and not isinstance(error, FeedbackImplausible)
+            ) and not isinstance(error, errors.FeedbackImplausible)
             part = "nothing is held" if empty else "no part was gripped"
         elif phase is GripperPhase.RELEASING:
             part = "a part may still touch the pads"
         else:
             part = "a part may touch the pads"
-        note_fingers(error, f"{left} while {_DOING[phase]}{where}{watchdog}; {part}")
+        errors.note_fingers(error, f"{left} while {_DOING[phase]}{where}{watchdog}; {part}")
 
     def _note_grip(self, error: BaseException, left: FingersLeft) -> None:
         """Note on an error of a grip: the state of the grip, and the force on the pads."""
@@ -247,7 +232,7 @@ class Lifecycle:
             return
         sample = self._servos.goals.fresh_force
         measured = "" if sample is None else f" (the pads measured {sample.grip_n:.1f} N just then)"
-        note_fingers(error, f"{_GRIP_LEFT[left]}{measured}")
+        errors.note_fingers(error, f"{_GRIP_LEFT[left]}{measured}")
 
     def _respond(self, error: BaseException, *, moving: bool) -> FingersLeft:
         """Write the goals of a fault response; the grip is kept whenever possible.
@@ -275,20 +260,20 @@ class Lifecycle:
             return FingersLeft.UNCONFIRMED
         # Short time-outs: a silent servo must not delay the others.
         with servos.in_loop():
-            if isinstance(error, FeedbackImplausible):
+            if isinstance(error, errors.FeedbackImplausible):
                 servos.go_limp()
                 return FingersLeft.LIMP
             # With current a servo follows its own position, which may drift: a finger that counts
             # as stuck on its way open would close.
-            drifts = isinstance(error, PositionContradicted) or (
-                isinstance(error, FingerBlocked) and error.opens
+            drifts = isinstance(error, errors.PositionContradicted) or (
+                isinstance(error, errors.FingerBlocked) and error.opens
             )
             unconfirmed = servos.stop_motion(0.0 if drifts else 1.0) if moving else []
-            one_sided = isinstance(error, FingerSilent) or (
-                isinstance(error, ServoFault) and error.torque_lost
+            one_sided = isinstance(error, errors.FingerSilent) or (
+                isinstance(error, errors.ServoFault) and error.torque_lost
             )
-            with suppress(GripperError):
-                if isinstance(error, ForceAboveCap) or servos.goals.force_is_too_high():
+            with suppress(errors.GripperError):
+                if isinstance(error, errors.ForceAboveCap) or servos.goals.force_is_too_high():
                     self._lower_force()
                 elif one_sided:
                     servos.hold_position()
@@ -296,7 +281,7 @@ class Lifecycle:
                     servos.freeze()
                 if servos.heats:
                     servos.freeze()
-            with suppress(GripperError):
+            with suppress(errors.GripperError):
                 servos.disarm_watchdog(but=unconfirmed)
         if unconfirmed:
             return FingersLeft.UNCONFIRMED
@@ -329,12 +314,13 @@ class Lifecycle:
                 break
             if newest.t_s >= opened_s:
                 left = max(least, left - settings.period_s / _LOWERING_S)
-                servos.goals.write(lowered(goals, servos.goals.last, left, state, settings), state)
+                servos.lower(goals, left, state)
             else:
                 servos.goals.write(standing(asked, state, share), state)
             self._clock.sleep(settings.period_s)
             before = state
-            with suppress(BusTimeout, BusCorrupt):  # the last feedback counts for bus_loss_s
+            # The last feedback counts for bus_loss_s.
+            with suppress(errors.BusTimeout, errors.BusCorrupt):
                 state = servos.read()
             if any(map(gt, state.angles_rad, before.angles_rad)):
                 opened_s = state.t_s

@@ -6,13 +6,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from math import degrees
 
-from motion.errors import (
-    AxisDuplicated,
-    AxisLimitExceeded,
-    MotionError,
-    PositionImplausible,
-    PositionNotReached,
-)
+from motion import errors
 from tactile.clock import Clock
 
 POLL_S = 0.005
@@ -136,7 +130,7 @@ class Axis(ABC):
         settings, (low, high) = self.settings, self._plausible
         position = self.read_increments() / settings.increments
         if not low <= position <= high:
-            raise PositionImplausible(
+            raise errors.PositionImplausible(
                 f"{self.label} reads a position of {settings.in_words(position)}, "
                 f"{settings.limits_in_words}: the reading has jumped, or the axis was moved beyond "
                 "its limits. Check encoder and homing, bring the axis back between its limits"
@@ -150,7 +144,7 @@ class Axis(ABC):
         """
         settings = self.settings
         if not settings.low <= position <= settings.high:
-            raise AxisLimitExceeded(
+            raise errors.AxisLimitExceeded(
                 f"axis {self.name} was asked for {settings.in_words(position)}, "
                 f"{settings.limits_in_words}; nothing has moved"
             )
@@ -217,13 +211,13 @@ class Axes:
         """Whether the axes are enabled and homed, so that no motion begins with homing."""
         self._reported = False
 
-    def inspect(self) -> dict[str, str | MotionError]:
+    def inspect(self) -> dict[str, str | errors.MotionError]:
         """Return the state or the error of each device by axis; nothing moves."""
-        states: dict[str, str | MotionError] = {}
+        states: dict[str, str | errors.MotionError] = {}
         for axis in self._axes.values():
             try:
                 states[axis.label] = axis.identify()
-            except MotionError as error:
+            except errors.MotionError as error:
                 states[axis.label] = error
         return states
 
@@ -272,13 +266,15 @@ class Axes:
             return self._move(targets)
         except BaseException as error:
             stopped = self.stop()
-            if not isinstance(error, MotionError):
+            if not isinstance(error, errors.MotionError):
                 raise
             self.ready, self._reported = False, True
             # Two drives with one node-ID cause many errors: a boot-up, a fault, a wrong state.
             states = self.inspect().values()
-            cause = next((state for state in states if isinstance(state, AxisDuplicated)), error)
-            if not isinstance(cause, PositionNotReached):
+            cause = next(
+                (state for state in states if isinstance(state, errors.AxisDuplicated)), error
+            )
+            if not isinstance(cause, errors.PositionNotReached):
                 stopped += ". Then clear the fault and start again"
             raise type(cause)(f"{cause}; {stopped}") from cause
         finally:
@@ -304,7 +300,7 @@ class Axes:
                     for axis, (arrived, position) in reached.items()
                     if not arrived
                 )
-                raise PositionNotReached(
+                raise errors.PositionNotReached(
                     f"after {longest_s:.1f} s {where}: is something in its way?"
                 )
             self._watch.pause(POLL_S)
@@ -324,7 +320,7 @@ class Axes:
         self._watch.supervise = undisturbed
         moving = list(self._axes.values())
         for axis in moving:
-            with suppress(MotionError):
+            with suppress(errors.MotionError):
                 axis.stop()
         braking_s = max(axis.settings.velocity / axis.settings.acceleration for axis in moving)
         end_s = self._watch.clock.monotonic() + braking_s + _STOP_S
@@ -339,5 +335,5 @@ class Axes:
 def _stands(axis: Axis) -> bool:
     try:
         return axis.standing()
-    except MotionError:
+    except errors.MotionError:
         return False

@@ -9,7 +9,7 @@ from gripper.dynamixel import control_table as ct
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.models import OperatingMode, ServoModel
 from gripper.errors import BusCorrupt, BusTimeout, GripperError
-from gripper.values.servo_checks import hardware_error_names
+from gripper.values.servo_checks import hardware_errors_text
 from motion import errors
 from motion.axes import Axis, AxisSettings, Watch
 
@@ -88,7 +88,7 @@ class ServoAxis(Axis):
         error = self._read(ct.HARDWARE_ERROR_STATUS)
         at = self._read(ct.PRESENT_POSITION)
         words = f"torque {torque}, Present Position {at} pulses"
-        return words + (f", hardware error {_names(error)}" if error else "")
+        return words + (f", hardware error {hardware_errors_text(error)}" if error else "")
 
     def prepare(self, *, reset: bool) -> None:
         """Set the servo up and switch its torque on at its position; nothing moves.
@@ -250,10 +250,6 @@ class ServoAxis(Axis):
 
     def _fault(self, error: int) -> errors.AxisFault:
         return errors.AxisFault(
-            f"{self.label} is at fault, hardware error {_names(error)}: remedy the cause, "
-            "then clear with a reboot: the servo is without torque for a moment"
+            f"{self.label} is at fault, hardware error {hardware_errors_text(error)}: remedy the "
+            "cause, then clear with a reboot: the servo is without torque for a moment"
         )
-
-
-def _names(error: int) -> str:
-    return ", ".join(hardware_error_names(error))

@@ -29,7 +29,7 @@ from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.models import MODELS, ServoModel, model_name
 from gripper.errors import ServoRejected
 from gripper.servos.verification import Requirement, requirements
-from gripper.values.servo_checks import hardware_error_names, overload_text
+from gripper.values.servo_checks import hardware_errors_text, overload_text
 
 _FACTORY_RATE = 57600
 """Baud rate of a new servo."""
@@ -306,7 +306,7 @@ def _set_up(
         check_supply(servo_id, models[servo_id], table, notes)
         if error := table["hardware_error_status"]:
             notes.fail(
-                f"servo {servo_id} reports {', '.join(hardware_error_names(error))}: remedy the "
+                f"servo {servo_id} reports {hardware_errors_text(error)}: remedy the "
                 "cause, switch its supply off and on"
             )
         changes[servo_id] = wanted_changes(models[servo_id], bench, table)

@@ -16,7 +16,7 @@ from cell.sensors.guard import GuardedSource
 from gripper.clock import Clock
 from gripper.dynamixel.serial_port import ByteStream, SerialStream
 from gripper.errors import PortLost
-from gripper.force.ramp import ForceRamp
+from gripper.force.ramp import ForceRamp, largest_ramp_n
 from gripper.gripper import open_gripper
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspOutcome, ReleaseReport
@@ -117,7 +117,7 @@ class LocalHand:
     @property
     def largest_ramp_n(self) -> float:
         """Largest force in N of a ramp; see `Hand`."""
-        return self.gripper.largest_ramp_n
+        return largest_ramp_n(self.gripper.mechanics)
 
     def open(self, watch: OnPeriod) -> None:
         """Open the empty fingers; see `Hand`."""

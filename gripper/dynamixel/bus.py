@@ -15,15 +15,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from gripper import errors
 from gripper.clock import Clock
-from gripper.dynamixel.control_table import (
-    MODEL_NUMBER,
-    PRESENT_BLOCK,
-    RAM_START,
-    STATUS_RETURN_LEVEL,
-    Register,
-    RegisterBlock,
-)
+from gripper.dynamixel import control_table as ct
 from gripper.dynamixel.models import ram_shift
 from gripper.dynamixel.protocol2 import (
     STATUS_OVERHEAD,
@@ -32,14 +26,6 @@ from gripper.dynamixel.protocol2 import (
     StatusPacket,
 )
 from gripper.dynamixel.serial_port import ByteStream, SdkPort
-from gripper.errors import (
-    AnswersOff,
-    BusCorrupt,
-    BusTimeout,
-    LimitExceeded,
-    PortLost,
-    ServoRejected,
-)
 
 BROADCAST_ID = 0xFE
 """ID that all servos listen to (e-Manual, Protocol 2.0, "Packet ID")."""
@@ -224,7 +210,7 @@ class ServoBus:
         self._quiet_since_s: float | None = None
         self._outstanding = 0
         self._stray = _StrayData()
-        self._last_error: BusTimeout | BusCorrupt | None = None
+        self._last_error: errors.BusTimeout | errors.BusCorrupt | None = None
         self._ram_shifts = dict(ram_shifts or {})
         self._counts = dict.fromkeys(BusStatistics.__slots__, 0)
         self._closed = False
@@ -276,22 +262,22 @@ class ServoBus:
         the adapter receives no bytes. One answer may be lost by chance. Equal servos report one
         Model Number (register 0); a servo that answers no read does not.
         """
-        request, lost = self._reading(servo_id, PRESENT_BLOCK), 0
+        request, lost = self._reading(servo_id, ct.PRESENT_BLOCK), 0
         for _ in range(_COLLISION_READS):
             try:
                 _checked(self._ask_once(request)[0], request.action)
-            except BusCorrupt:
+            except errors.BusCorrupt:
                 return True
-            except BusTimeout:
+            except errors.BusTimeout:
                 lost += 1
         return lost == _COLLISION_READS and not self.answers_off(servo_id)
 
     def answers_off(self, servo_id: int) -> bool:
         """Return whether a servo answers pings but no read: Status Return Level (68) is 0."""
         try:
-            self.read(servo_id, MODEL_NUMBER)
-        except (BusTimeout, BusCorrupt) as error:
-            return isinstance(error, AnswersOff)
+            self.read(servo_id, ct.MODEL_NUMBER)
+        except (errors.BusTimeout, errors.BusCorrupt) as error:
+            return isinstance(error, errors.AnswersOff)
         return False
 
     def demand_answers(self, ids: Sequence[int]) -> None:
@@ -301,17 +287,17 @@ class ServoBus:
         is in the RAM: it can be written with torque.
         """
         for servo_id in ids:
-            self.sync_write({servo_id: (ANSWERS_ALL,)}, RegisterBlock(STATUS_RETURN_LEVEL))
+            self.sync_write({servo_id: (ANSWERS_ALL,)}, ct.RegisterBlock(ct.STATUS_RETURN_LEVEL))
 
     def round_trip_s(self, servo_id: int) -> float:
         """Return the round-trip time of a ping in s, also for a late answer."""
         return self._ask_once(_ping_request(servo_id), patient=True)[1]
 
-    def read(self, servo_id: int, register: Register) -> int:
+    def read(self, servo_id: int, register: ct.Register) -> int:
         """Return the raw value of an item, sign-extended."""
         return register.decode(self._ask(self._reading(servo_id, register)).data)
 
-    def write(self, servo_id: int, register: Register, raw: int) -> None:
+    def write(self, servo_id: int, register: ct.Register, raw: int) -> None:
         """Write the raw value of an item and wait for the servo's confirmation.
 
         Raises
@@ -322,12 +308,12 @@ class ServoBus:
             When the servo refuses, for example EEPROM with torque on (error 7).
         """
         if not register.writable:
-            raise LimitExceeded(f"{register.name} is read-only")
+            raise errors.LimitExceeded(f"{register.name} is read-only")
         action = f"writing {register} = {raw} to servo {servo_id}"
         params = _words(self._address(servo_id, register)) + register.encode(raw)
         self._ask(_Request(servo_id, Instruction.WRITE, 0, action, params))
 
-    def sync_read(self, ids: Sequence[int], block: RegisterBlock) -> dict[int, dict[str, int]]:
+    def sync_read(self, ids: Sequence[int], block: ct.RegisterBlock) -> dict[int, dict[str, int]]:
         """Return the items of one block of several servos as raw values by name.
 
         A servo whose answer is missing is asked alone, within `in_loop` only as the period allows.
@@ -358,7 +344,7 @@ class ServoBus:
                 answers[servo_id] = self._retry(request, failure, deadline_s)
         return {i: block.decode(_checked(status, action).data) for i, status in answers.items()}
 
-    def sync_write(self, values: Mapping[int, Sequence[int]], block: RegisterBlock) -> None:
+    def sync_write(self, values: Mapping[int, Sequence[int]], block: ct.RegisterBlock) -> None:
         """Write the items of one block to several servos at once.
 
         Servos do not confirm a sync write: the caller reads back critical values.
@@ -401,7 +387,7 @@ class ServoBus:
         Raises PortLost after `close`, and BusCorrupt when the line never becomes quiet.
         """
         if self._closed:
-            raise PortLost("the servo bus is closed: open it again")
+            raise errors.PortLost("the servo bus is closed: open it again")
         # The SDK keeps it after a request without an answer.
         self.port.is_using = False
         self._counts["transactions"] += 1
@@ -410,23 +396,23 @@ class ServoBus:
         elif self._suspect and self._clock.monotonic() - self._suspect_since_s > _LATE_GUARD_S:
             self._mark_clean()
 
-    def _address(self, servo_id: int, what: Register | RegisterBlock) -> int:
+    def _address(self, servo_id: int, what: ct.Register | ct.RegisterBlock) -> int:
         """Return the address of an item or a block in the control table of a servo's model."""
-        shift = self._ram_shifts.get(servo_id, 0) if what.address >= RAM_START else 0
+        shift = self._ram_shifts.get(servo_id, 0) if what.address >= ct.RAM_START else 0
         return what.address + shift
 
-    def _common_address(self, ids: Sequence[int], block: RegisterBlock) -> int:
+    def _common_address(self, ids: Sequence[int], block: ct.RegisterBlock) -> int:
         for servo_id in ids:
             _check_id(servo_id)
         addresses = {self._address(servo_id, block) for servo_id in ids}
         if len(addresses) != 1:
-            raise LimitExceeded(
+            raise errors.LimitExceeded(
                 f"servos {ids} have {block} at different addresses: put models with different "
                 "control tables on separate lines"
             )
         return addresses.pop()
 
-    def _reading(self, servo_id: int, what: Register | RegisterBlock) -> _Request:
+    def _reading(self, servo_id: int, what: ct.Register | ct.RegisterBlock) -> _Request:
         params = _words(self._address(servo_id, what), what.size)
         action = f"reading {what} of servo {servo_id}"
         return _Request(servo_id, Instruction.READ, what.size, action, params)
@@ -489,7 +475,7 @@ class ServoBus:
 
     def _given_up(
         self, failure: _NoAnswerError, request: _Request, *, pinged: bool = False
-    ) -> BusTimeout | BusCorrupt:
+    ) -> errors.BusTimeout | errors.BusCorrupt:
         """Return the error of a servo without an answer; the line is now suspect.
 
         ``pinged``: whether the servo has answered each ping between its requests.
@@ -497,18 +483,18 @@ class ServoBus:
         self._mark_suspect()
         if failure.damaged:
             received = f" ({self._stray})" if self._stray else ""
-            error: BusTimeout | BusCorrupt = BusCorrupt(
+            error: errors.BusTimeout | errors.BusCorrupt = errors.BusCorrupt(
                 f"{request.action}: the answers of servo {request.servo_id} arrive "
                 f"damaged{received}: check cable, termination and that no two servos share the ID"
             )
         elif pinged:
-            error = AnswersOff(
+            error = errors.AnswersOff(
                 f"{request.action}: no answer of servo {request.servo_id}, although it answers "
                 f"pings: its Status Return Level (register 68) is below 2. A start or a release "
                 f"sets it to 2, and so does switching its supply off and on"
             )
         else:
-            error = BusTimeout(
+            error = errors.BusTimeout(
                 f"{request.action}: no answer of servo {request.servo_id}: check its supply, "
                 f"cable, ID and baud rate"
             )
@@ -596,11 +582,11 @@ class ServoBus:
         self._quiet_since_s = None
         self._mark_clean()
 
-    def _not_quiet(self, patience_s: float) -> BusTimeout | BusCorrupt:
+    def _not_quiet(self, patience_s: float) -> errors.BusTimeout | errors.BusCorrupt:
         if not self._stray and self._last_error is not None:
             return type(self._last_error)(*self._last_error.args)
         within = f"within {patience_s:.2g} s" if patience_s else "yet"
-        return BusCorrupt(
+        return errors.BusCorrupt(
             f"{self._name} did not become quiet {within}: {self._stray}. Another program or device "
             f"sends on the line, or it picks up noise: disconnect other hosts, check cable, "
             f"ground, termination and baud rate"
@@ -608,7 +594,7 @@ class ServoBus:
 
 
 class _InLoop:
-    """Transactions of a period."""
+    """Transactions of a period; a generator would cost more in each."""
 
     def __init__(self, bus: ServoBus) -> None:
         self._bus, self._before = bus, bus.patient
@@ -628,13 +614,13 @@ def _ping_request(servo_id: int) -> _Request:
 def _check_id(servo_id: int) -> None:
     """Raise LimitExceeded where no servo can have an ID."""
     if not 0 <= servo_id <= HIGHEST_ID:
-        raise LimitExceeded(f"servo ID {servo_id} is not from 0 to {HIGHEST_ID}")
+        raise errors.LimitExceeded(f"servo ID {servo_id} is not from 0 to {HIGHEST_ID}")
 
 
 def _checked(status: StatusPacket, action: str) -> StatusPacket:
     """Return an answer; raise ServoRejected where the servo has refused the action."""
     if status.error:
-        raise ServoRejected(status.servo_id, status.error, action)
+        raise errors.ServoRejected(status.servo_id, status.error, action)
     return status
 
 

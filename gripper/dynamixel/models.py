@@ -119,10 +119,10 @@ class ServoModel:
     def __post_init__(self) -> None:
         object.__setattr__(self, "rad_per_pulse", tau / self.pulses_per_turn)
 
-    def current_raw(
+    def current_counts(
         self, winding_a: float, supply_v: float | None = None, against_rad_s: float = 0.0
-    ) -> int:
-        """Return the counts of a current item for a current of the winding in A from 0 up.
+    ) -> float:
+        """Return counts of a current item, not rounded, for a winding's current in A from 0 up.
 
         Where they count the current of the supply, a motor at rest needs R i² / V. The back-EMF of
         a motion that goes with the current is left out: a part that stops the finger ends it before
@@ -136,12 +136,6 @@ class ServoModel:
         against_rad_s
             Speed from 0 up of a motion against the current.
         """
-        return round(self.item_counts(winding_a, supply_v, against_rad_s))
-
-    def item_counts(
-        self, winding_a: float, supply_v: float | None = None, against_rad_s: float = 0.0
-    ) -> float:
-        """Return the same without rounding."""
         if not self.supply_current:
             return winding_a / self.current_unit_a
         motor_v = max(0.0, self.winding_ohm * winding_a - self.back_emf_v_s * against_rad_s)
@@ -158,11 +152,9 @@ class ServoModel:
     @property
     def current_step_a(self) -> float:
         """Resolution in A of the winding's current: a count of current, or of PWM."""
-        return (
-            self.stall_current_a / self.whole_pwm_raw
-            if self.supply_current
-            else self.current_unit_a
-        )
+        if self.supply_current:
+            return self.stall_current_a / self.whole_pwm_raw
+        return self.current_unit_a
 
     @property
     def winding_ohm(self) -> float:
@@ -196,28 +188,26 @@ class ServoModel:
 
         Gains are left out: a servo sets them itself with its mode.
         """
-        return MappingProxyType(
-            {
-                "model_number": self.number,
-                "id": 1,
-                "baud_rate": 1,
-                "return_delay_time": 250,
-                "operating_mode": int(self.factory_mode),
-                "secondary_id": 255,
-                "protocol_type": 2,
-                "moving_threshold": 10,
-                "temperature_limit": self.temperature_limit_c,
-                "max_voltage_limit": self.max_voltage_raw,
-                "min_voltage_limit": self.min_voltage_raw,
-                "pwm_limit": self.whole_pwm_raw,
-                "current_limit": self.current_limit_raw,
-                "velocity_limit": self.velocity_limit_raw,
-                "max_position_limit": self.pulses_per_turn - 1,
-                "shutdown": self.shutdown_raw,
-                "status_return_level": 2,
-                **({} if "pwm_slope" in self.absent else {"pwm_slope": PWM_SLOPE_RAW}),
-            }
-        )
+        return {
+            "model_number": self.number,
+            "id": 1,
+            "baud_rate": 1,
+            "return_delay_time": 250,
+            "operating_mode": int(self.factory_mode),
+            "secondary_id": 255,
+            "protocol_type": 2,
+            "moving_threshold": 10,
+            "temperature_limit": self.temperature_limit_c,
+            "max_voltage_limit": self.max_voltage_raw,
+            "min_voltage_limit": self.min_voltage_raw,
+            "pwm_limit": self.whole_pwm_raw,
+            "current_limit": self.current_limit_raw,
+            "velocity_limit": self.velocity_limit_raw,
+            "max_position_limit": self.pulses_per_turn - 1,
+            "shutdown": self.shutdown_raw,
+            "status_return_level": 2,
+            **({} if "pwm_slope" in self.absent else {"pwm_slope": PWM_SLOPE_RAW}),
+        }
 
 
 _RPM = tau / 60.0

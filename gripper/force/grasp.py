@@ -4,12 +4,13 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 
-from gripper.errors import GripContradicted, GripperStateError, PartLost
+from gripper.errors import GripContradicted, PartLost
 from gripper.force.approach.approach import Approach, ApproachEvent, ContactRest
 from gripper.force.approach.mechanics_proof import ZERO_RANGE_M, closes_farther, meeting, not_met
 from gripper.force.certainty import RUN_STEPS, STEADY_S
 from gripper.force.control.grip_control import GripControl
 from gripper.force.estimates.free_motion import FreeMotion
+from gripper.force.estimates.grip import SOFTEST_N_M
 from gripper.force.loop import Action, LoopRunner, Moment
 from gripper.force.ramp import ForceRamp
 from gripper.force.supervision.empty_grip import EmptyGrip
@@ -33,7 +34,7 @@ class GraspRun:
 
     Parameters
     ----------
-    runner, mechanics
+    runner
         Of the gripper.
     set_phase
         Gets each new phase of a grasp.
@@ -42,16 +43,12 @@ class GraspRun:
     """
 
     def __init__(
-        self,
-        runner: LoopRunner,
-        mechanics: Mechanics,
-        set_phase: Callable[[GripperPhase], None],
-        free: FreeMotion,
+        self, runner: LoopRunner, set_phase: Callable[[GripperPhase], None], free: FreeMotion
     ) -> None:
         self._runner = runner
         self._set_phase = set_phase
         self._free = free
-        self._mechanics, self._settings = mechanics, mechanics.settings
+        self._mechanics, self._settings = runner.servos.mechanics, runner.servos.settings
         self._end = threading.Event()
         self._ramp_step: ContactStep | None = None
         self.start_proving()
@@ -60,12 +57,6 @@ class GraspRun:
     def control(self) -> GripControl | None:
         """Control of the grip force; None while nothing is held."""
         return None if self._ramp_step is None else self._ramp_step.control
-
-    def held(self, command: str) -> GripControl:
-        """Return the control of the held part. Raises GripperStateError without a part."""
-        if self.control is None:
-            raise GripperStateError(f"{command} needs a grasp before it")
-        return self.control
 
     def forget(self) -> None:
         """Discard the control of a part: nothing is held."""
@@ -97,9 +88,11 @@ class GraspRun:
             closed_m = apertures.at(contact.t_s - STEADY_S) - contact.aperture_m
             closing = closed_m > RUN_STEPS * reached.stiffness.step_m
             closed = contact.aperture_m <= self._settings.aperture_min_m
-            self._confirm_empty(contact, ran=closed or closing, approached=True)
+            self._confirm_empty(contact, ran=closed or closing, stiffness_n_m=None)
             self._set_phase(GripperPhase.APPROACHING)
-            self._prove_closed(contact)
+            # Checked once, after a grasp without a part: the pads must stop each other.
+            if not self._closed_is_proven and closes_farther(self._settings, contact):
+                self._closed()
             return GraspOutcome(result=GraspResult.NO_CONTACT, final_aperture_m=contact.aperture_m)
         self._widest_m = max(self._widest_m, reached.touch_m)
         self._touched += 1
@@ -109,7 +102,6 @@ class GraspRun:
         """Close the empty fingers onto each other and follow a ramp, see `Gripper`."""
         self.forget()
         reached = self._closed()
-        self._closed_is_proven = True
         if reached.event is ApproachEvent.OBSTRUCTED:
             raise _obstructed(reached)
         self._end.clear()
@@ -124,23 +116,17 @@ class GraspRun:
         final = self._runner.run(step.step)
         if step.lost:
             ran = step.control is not None and step.control.watch.ran
-            self._confirm_empty(final, ran=ran, stiffness_n_m=reached.stiffness.stiffness_n_m)
+            stiffness_n_m = reached.stiffness.stiffness_n_m or SOFTEST_N_M
+            self._confirm_empty(final, ran=ran, stiffness_n_m=stiffness_n_m)
             self.forget()
         return step.outcome(final)
 
     def _confirm_empty(
-        self,
-        state: ServoFeedback,
-        *,
-        ran: bool,
-        stiffness_n_m: float | None = None,
-        approached: bool = False,
+        self, state: ServoFeedback, *, ran: bool, stiffness_n_m: float | None
     ) -> None:
         """Return when no measurement shows a part; else raise GripContradicted."""
         self._set_phase(GripperPhase.HOLDING)
-        step = EmptyGrip(
-            self._mechanics, state, stiffness_n_m=stiffness_n_m, approached=approached, ran=ran
-        )
+        step = EmptyGrip(self._mechanics, state, stiffness_n_m=stiffness_n_m, ran=ran)
         self._runner.run(step.step)
 
     def squeeze(self, control: GripControl, ramp: ForceRamp) -> GraspOutcome:
@@ -152,32 +138,20 @@ class GraspRun:
     def _approach(self, mechanics: Mechanics) -> Approach:
         """Close until the contact, or the end of the travel, and update the estimates."""
         # Fingers that shall meet find no part.
-        known = mechanics is self._mechanics and self._touched > 0
-        approach = Approach(
-            mechanics,
-            self._runner.servos.read_patiently(),
-            widest_m=self._begins_m if known else None,
-        )
-        self._free.run(self._runner, approach.step, approach.runs_freely)
+        widest_m = None
+        if mechanics is self._mechanics and self._touched > 0:
+            widest_m = self._widest_m + _BEGINS_M + _SURPRISE_M / self._touched
+        approach = Approach(mechanics, self._runner.servos.read_patiently(), widest_m=widest_m)
+        self._free.run(approach.step, approach.runs_freely)
         return approach
-
-    @property
-    def _begins_m(self) -> float:
-        """Opening in m at which the next part may begin, by the parts touched so far."""
-        return self._widest_m + _BEGINS_M + _SURPRISE_M / self._touched
 
     def _closed(self) -> Approach:
         """Close until the pads meet; raise MechanicsContradicted if nothing stops the fingers."""
         reached = self._approach(meeting(self._mechanics))
         if reached.event is ApproachEvent.LIMIT:
             raise not_met(reached.mechanics, reached.state, reached.friction_advice)
+        self._closed_is_proven = True
         return reached
-
-    def _prove_closed(self, state: ServoFeedback) -> None:
-        """Check once, after a grasp without a part, that the pads stop each other."""
-        if not self._closed_is_proven and closes_farther(self._settings, state):
-            self._closed()
-            self._closed_is_proven = True
 
 
 class RampTime:
@@ -195,13 +169,13 @@ class RampTime:
 
     def __init__(self, settings: GripperSettings, ramp: ForceRamp) -> None:
         self._settings = settings
-        self._waited_s: float | None = None
         self.requested_n = ramp.final_n
         """Planned force in N at the end of the ramp."""
         self._begin(ramp)
 
     def _begin(self, ramp: ForceRamp) -> None:
-        self.ramp, self.elapsed_s, self._waited_s = ramp, 0.0, None
+        self.ramp, self.elapsed_s = ramp, 0.0
+        self._waited_s: float | None = None
         self._look()
 
     def _look(self) -> None:
@@ -290,7 +264,12 @@ class GripStep:
     def step(self, moment: Moment) -> Action:
         """Return the action of one period; PartLost, PartSlipped when the part goes."""
         assert self.control is not None
-        _check_part(self.control, moment)
+        if self.control.watch.lost(moment):
+            raise PartLost(
+                f"the part has slipped out or was taken: the pads are empty, or nothing holds the "
+                f"fingers apart, at an opening of {moment.state.aperture_m * 1e3:.1f} mm; the "
+                f"fingers stand still"
+            )
         self._time.pass_by(moment.dt_s, self.control.grip.force_n, moment.state.aperture_m)
         action = self._action(moment, self.control)
         return action if self._slip is not None else replace(action, level=None)
@@ -325,7 +304,12 @@ class GripStep:
         if not (reached or self.lost):
             unreached = f"the ramp ended with {final_n:.1f} N; {requested_n:.1f} N were asked for"
             if ended_n < requested_n:
-                unreached += _too_small(self._settings, final.aperture_m)
+                least_mm = 1e3 * self._settings.least_pressed_m
+                unreached += (
+                    f": the part is too small or soft at {1e3 * final.aperture_m:.1f} mm "
+                    f"(gripper.aperture_min_mm is {least_mm:g}). Ask for less, or lower it as far "
+                    f"as the foam yields"
+                )
         return GraspOutcome(
             result=GraspResult.PART_LOST if self.lost else held,
             contact_t_s=None if self._contact is None else self._contact.t_s,
@@ -409,22 +393,6 @@ class HoldStep(GripStep):
 
     def _over(self, _force_n: float) -> bool:
         return self._left_s <= EQUAL
-
-
-def _check_part(control: GripControl, moment: Moment) -> None:
-    if control.watch.lost(moment):
-        raise PartLost(
-            f"the part has slipped out or was taken: the pads are empty, or nothing holds the "
-            f"fingers apart, at an opening of {moment.state.aperture_m * 1e3:.1f} mm; the fingers "
-            f"stand still"
-        )
-
-
-def _too_small(settings: GripperSettings, aperture_m: float) -> str:
-    return (
-        f": the part is too small or soft at {1e3 * aperture_m:.1f} mm (gripper.aperture_min_mm is "
-        f"{1e3 * settings.least_pressed_m:g}). Ask for less, or lower it as far as the foam yields"
-    )
 
 
 def _obstructed(reached: Approach) -> GripContradicted:

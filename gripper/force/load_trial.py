@@ -51,7 +51,6 @@ class LoadTrial:
         self._most_a = -inf
         self._from_n: float | None = None
         self._goal_rad: float | None = None
-        self._asked_a = 0.0
 
     def step(self, moment: Moment) -> Action:
         """Return the action of one period."""

@@ -4,21 +4,13 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from gripper import errors
 from gripper.clock import Clock
-from gripper.errors import (
-    BusCorrupt,
-    BusTimeout,
-    ForceSensorStale,
-    GraspStopped,
-    LimitExceeded,
-    PartLost,
-)
 from gripper.force.certainty import YOUNG_S
-from gripper.force.timing import LoopStatistics, LoopTimer
+from gripper.force.timing import LoopTimer
 from gripper.servos.bus_loss import BusLossMonitor
 from gripper.servos.goal_limits import ServoGoal
 from gripper.servos.group import Servos
-from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample, ForceSensor
 from gripper.values.state import Cycle, GripperPhase, Observer, ServoFeedback
 
@@ -62,6 +54,10 @@ class Moment:
         return self.sample is not None and self.now_s - self.sample.measured_s <= YOUNG_S
 
 
+Step = Callable[[Moment], Action]
+"""One step of control: called once a period."""
+
+
 @dataclass(slots=True, kw_only=True)
 class CommandState:
     """State of the commands of a gripper: it writes this state, its loop reads it."""
@@ -77,7 +73,7 @@ class CommandState:
 class Running:
     """State of the control step that runs now."""
 
-    step: Callable[[Moment], Action]
+    step: Step
     needs_force: bool
     """As in `LoopRunner.run`."""
     last_s: float
@@ -95,32 +91,23 @@ class LoopRunner:
 
     Parameters
     ----------
-    servos, sensor, settings, clock, command
+    servos, sensor, clock, command
         Of the gripper.
     """
 
     def __init__(
-        self,
-        servos: Servos,
-        sensor: ForceSensor,
-        settings: GripperSettings,
-        clock: Clock,
-        command: CommandState,
+        self, servos: Servos, sensor: ForceSensor, clock: Clock, command: CommandState
     ) -> None:
         self.servos = servos
         self._sensor = sensor
-        self._settings = settings
+        self._settings = servos.settings
         self._clock = clock
         self._command = command
-        self._timer = LoopTimer(settings.period_s)
+        self.timer = LoopTimer(self._settings.period_s)
+        """Timing since the runner was made."""
         self._due_s = clock.monotonic()
         self._bus_loss = BusLossMonitor(servos)
         self._cycles = 0
-
-    @property
-    def statistics(self) -> LoopStatistics:
-        """Timing since the runner was made."""
-        return self._timer.statistics()
 
     def read(self) -> ServoFeedback | None:
         """Read the feedback; None while a lost answer is still tolerated.
@@ -135,15 +122,15 @@ class LoopRunner:
         asked_s = self._clock.monotonic()
         try:
             state = self.servos.read()
-        except (BusTimeout, BusCorrupt) as error:
-            self._timer.missed_reads += 1
+        except (errors.BusTimeout, errors.BusCorrupt) as error:
+            self.timer.missed_reads += 1
             self._bus_loss.missed(error, asked_s, self._clock.monotonic())
             return None
-        self._timer.transaction.add(state.t_s - asked_s)
+        self.timer.transaction.add(state.t_s - asked_s)
         self._bus_loss.answered()
         return state
 
-    def run(self, step: Callable[[Moment], Action], *, needs_force: bool = True) -> ServoFeedback:
+    def run(self, step: Step, *, needs_force: bool = True) -> ServoFeedback:
         """Run steps until one is done and return the last feedback.
 
         Parameters
@@ -169,20 +156,17 @@ class LoopRunner:
         running = self.start_command(step, needs_force=needs_force, now_s=deadline_s)
         while True:
             if self._command.stop_request.is_set():
-                raise GraspStopped("stopped on request")
+                raise errors.GraspStopped("stopped on request")
             cycle = self.period(running)
+            deadline_s += self._settings.period_s
             if cycle is not None and self._command.observer is not None:
                 self._command.observer(cycle)
             if cycle is not None and running.done:
-                self._due_s = deadline_s + self._settings.period_s
+                self._due_s = deadline_s
                 return cycle.state
-            deadline_s = self._wait(
-                deadline_s + self._settings.period_s, answered=cycle is not None
-            )
+            deadline_s = self._wait(deadline_s, answered=cycle is not None)
 
-    def start_command(
-        self, step: Callable[[Moment], Action], *, needs_force: bool = True, now_s: float
-    ) -> Running:
+    def start_command(self, step: Step, *, needs_force: bool = True, now_s: float) -> Running:
         """Return steps whose periods the caller runs, each with `period`; arguments as in `run`.
 
         ``now_s``: monotonic time in s from which the age of the force counts.
@@ -232,17 +216,17 @@ class LoopRunner:
         )
         try:
             action = running.step(moment)
-        except LimitExceeded:
+        except errors.LimitExceeded:
             # A goal beyond a limit may be caused by a force above the cap. Report that fault first.
             self.servos.goals.check_force(noise_excluded=True)
             raise
-        except PartLost:
+        except errors.PartLost:
             # A servo without torque lets the part go. Report this as the cause.
             self.servos.check_torques()
             raise
         if action.goals is not None:
             self.servos.goals.write(action.goals, state)
-        self._timer.derated += any(
+        self.timer.derated += any(
             servo.limit_a < self._settings.current_max_a for servo in state.servos
         )
         self._check_health(state)
@@ -259,11 +243,11 @@ class LoopRunner:
 
     def _check_force(self, now_s: float, fresh_s: float, sample: ForceSample | None) -> None:
         if sample is not None:
-            self._timer.sensor_age.add(self._clock.monotonic() - sample.t_s)
+            self.timer.sensor_age.add(self._clock.monotonic() - sample.t_s)
         age_s = now_s - fresh_s
         if age_s > self._settings.force_stale_s:
             why = f" ({sample.reason})" if sample is not None and sample.reason else ""
-            raise ForceSensorStale(
+            raise errors.ForceSensorStale(
                 f"no valid force sample for {age_s:.3f} s{why}, force_stale_s is "
                 f"{self._settings.force_stale_s} s: the goals are frozen; check the tactile "
                 f"sensor, then clear the fault"
@@ -276,13 +260,13 @@ class LoopRunner:
             try:
                 with self.servos.in_loop():
                     self.servos.poll(state)
-            except (BusTimeout, BusCorrupt):
+            except (errors.BusTimeout, errors.BusCorrupt):
                 # The feedback soon shows whether the bus is lost.
-                self._timer.missed_reads += 1
+                self.timer.missed_reads += 1
 
     def _wait(self, deadline_s: float, *, answered: bool) -> float:
         """Wait for the next period and return its start; a late one delays all later ones."""
-        timer, settings = self._timer, self._settings
+        timer, settings = self.timer, self._settings
         now_s = self._clock.monotonic()
         late_s = max(0.0, now_s - deadline_s)
         timer.work_done(late_s, counts=answered)
@@ -292,13 +276,13 @@ class LoopRunner:
             late_s = max(0.0, self._clock.monotonic() - deadline_s)
         timer.began(late_s)
         if late_s > settings.stall_max_s:
-            raise LimitExceeded(
+            raise errors.LimitExceeded(
                 f"the loop was {late_s:.3f} s late, stall_max_s is {settings.stall_max_s} s: the "
                 f"goals are frozen, the grip is kept; find what stopped its process, or remove "
                 f"slow work from its observer and its process, then clear the fault"
             )
         if timer.overruns_in_row >= settings.overruns_max:
-            raise LimitExceeded(
+            raise errors.LimitExceeded(
                 f"the work of {timer.overruns_in_row} periods in a row took longer than "
                 f"{1e3 * settings.period_s:.1f} ms, overruns_max is {settings.overruns_max}: the "
                 f"loop does not keep its rate; lower loop_rate_hz, or free the processor"

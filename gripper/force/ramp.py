@@ -159,9 +159,9 @@ class ForceRamp:
         for index, segment in enumerate(self.segments):
             low_n, high_n = sorted((segment.start_n, segment.end_n))
             if low_n <= force_n <= high_n and force_n != segment.end_n:
-                return ForceRamp(
-                    segments=(_from_force(segment, force_n), *self.segments[index + 1 :])
-                )
+                share = (segment.end_n - force_n) / (segment.end_n - segment.start_n)
+                cut = replace(segment, duration_s=segment.duration_s * share, start_n=force_n)
+                return ForceRamp(segments=(cut, *self.segments[index + 1 :]))
         final_hold = tuple(s for s in self.segments[-1:] if s.start_n == s.end_n)
         return ForceRamp(segments=(self._lead_in(force_n, self.final_n), *final_hold))
 
@@ -175,7 +175,7 @@ def largest_ramp_n(mechanics: Mechanics) -> float:
     settings = mechanics.settings
     # Slightly less than the whole current, because of rounding.
     current_a = (1.0 - 1e-9) * settings.current_max_a
-    by_current_n = (path.force_band_n(current_a)[0] for path in mechanics.end_transmissions())
+    by_current_n = (path.loaded_n(current_a) for path in mechanics.end_transmissions())
     return min(settings.grasp_force_limit_n, *by_current_n)
 
 
@@ -227,9 +227,3 @@ def heat_note(force_n: float, mechanics: Mechanics) -> str:
 
 def _hold(force_n: float, duration_s: float, level: int | None) -> RampSegment:
     return RampSegment(duration_s=duration_s, start_n=force_n, end_n=force_n, level=level)
-
-
-def _from_force(segment: RampSegment, force_n: float) -> RampSegment:
-    """Cut a changing segment at a force that it passes."""
-    share = (segment.end_n - force_n) / (segment.end_n - segment.start_n)
-    return replace(segment, duration_s=segment.duration_s * share, start_n=force_n)

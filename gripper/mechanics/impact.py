@@ -11,7 +11,7 @@ stop in time because they are slow enough when they touch.
 """
 
 from collections.abc import Sequence
-from math import ceil, exp, sqrt
+from math import ceil, exp, inf, sqrt
 from typing import NamedTuple
 
 from gripper.dynamixel.drive import SIGMAS
@@ -122,13 +122,14 @@ def most_peak_n(settings: GripperSettings) -> float:
 
 
 def closing_current_max_a(
-    settings: GripperSettings, path: Transmission, *, stood_a: float = 0.0
+    settings: GripperSettings, path: Transmission, *, stood_a: float = inf
 ) -> float:
     """Return the current in A with which a closing finger presses with less than the cap.
 
     A servo that was never measured may need more to move at all. An untouched finger that stood
     still at ``stood_a`` shows its friction, or presses on something that the pads do not show. So
-    the cap holds even so, for any plausible torque and at least the catalogue's friction.
+    the cap holds even so, for any plausible torque and at least the catalogue's friction. Without
+    ``stood_a`` the friction may be the largest plausible one.
     """
     by_force_a = path.pressing_current_a(most_peak_n(settings))
     if not path.drive.measured:
@@ -156,17 +157,20 @@ def closing_speed_m_s(mechanics: Mechanics, angles_rad: Sequence[float]) -> floa
     return max(2.0 * impact_limit(mechanics, angles_rad).pad_speed_m_s(), SLOWEST_M_S)
 
 
-def slowing_way_m(
-    mechanics: Mechanics, angles_rad: Sequence[float], *, from_m_s: float, to_m_s: float
-) -> float:
-    """Return the change of the opening in m in which closing fingers slow down.
+def slowing_way_m(mechanics: Mechanics, begun_rad: Sequence[float], aperture_m: float) -> float:
+    """Return the change of the opening in m in which an approach slows down for a part.
+
+    The fingers begin at some angles in rad, and the part may be at an opening in m.
 
     The goal of a servo is moved back to the lead of the lower speed. Until this acts, the fingers
     go on. Then position control brings the moving mass to that speed with a time constant. Its
     current falls with the speed, as its D gain damps.
     """
+    from_m_s = approach_speed_m_s(mechanics, begun_rad, travelling=True)
+    to_m_s = approach_speed_m_s(mechanics, begun_rad)
     if to_m_s >= from_m_s:
         return 0.0
+    angles_rad = mechanics.linkage.angles_rad(aperture_m)
     settings, paths = mechanics.settings, mechanics.transmissions(angles_rad)
     mass_kg = impact_limit(mechanics, angles_rad).mass_kg
     slowing_s = max(

@@ -58,14 +58,8 @@ class Transmission:
         """Largest factor on the current that moves a finger: its friction at rest may be more."""
         return max(MOST_FRICTION, self.drive.most_breakaway_a / self.drive.breakaway_a)
 
-    def held_n(self, drive_n: float) -> float:
-        """Return the largest force in N that a drive in N holds; below 0 if it opens the finger."""
-        if drive_n >= 0.0:
-            return self._passive_n + drive_n * self.drive.rising_a_nm / self.drive.falling_a_nm
-        return self._passive_n * (1.0 + drive_n / self.friction_n)
-
     def yielding_n(self, force_n: float) -> float:
-        """Return the drive in N at which a force in N begins to fall: the inverse of `held_n`."""
+        """Return the drive in N at which a force in N begins to fall; below 0 it opens."""
         above_n = force_n - self._passive_n
         if above_n >= 0.0:
             return above_n * self.drive.falling_a_nm / self.drive.rising_a_nm
@@ -80,10 +74,9 @@ class Transmission:
         """Return the current in A that drives the force up to ``force_n``."""
         return force_n / self.n_per_a + self.drive.breakaway_a
 
-    def force_band_n(self, current_a: float) -> tuple[float, float]:
-        """Return the least and the largest grip force in N that a current can hold."""
-        centre_n, friction_n = current_a * self.n_per_a, self.friction_n
-        return max(0.0, centre_n - friction_n), max(0.0, self.held_n(centre_n))
+    def loaded_n(self, current_a: float) -> float:
+        """Return the grip force in N up to which a current drives it: the inverse, at least 0."""
+        return max(0.0, current_a * self.n_per_a - self.friction_n)
 
     def pressing_n(self, current_a: float) -> float:
         """Return the largest plausible force in N that a current may press with as it rises."""
@@ -196,19 +189,13 @@ class Mechanics:
     def sure_force_n(self) -> float:
         """Force in N that each drive reaches at any opening, as strong as the cap lets it press."""
         cap_n = CAP_SHARE * self.settings.force_max_n
-        return min(
-            path.force_band_n(path.pressing_current_a(cap_n))[0]
-            for path in self.end_transmissions()
-        )
+        paths = self.end_transmissions()
+        return min(path.loaded_n(path.pressing_current_a(cap_n)) for path in paths)
 
     def opening_steps_m(self) -> list[float]:
         """Return the change of the opening in m by one count of each servo, at closed fingers."""
-        return [
-            self.linkage.opening_per_rad_m(closed_rad) * servo.servo_model.rad_per_pulse
-            for closed_rad, servo in zip(
-                self.linkage.angles_rad(0.0), self.settings.servos, strict=True
-            )
-        ]
+        reach_m = self.linkage.opening_per_rad_m(self.linkage.angles_rad(0.0)[0])
+        return [reach_m * servo.servo_model.rad_per_pulse for servo in self.settings.servos]
 
     def motion_currents_a(self, paths: Sequence[Transmission], force_n: float) -> list[float]:
         """Return the current in A that moves each finger freely and presses with ``force_n`` N.

@@ -11,17 +11,8 @@ from math import copysign, hypot, inf, pi
 from typing import NamedTuple
 
 from gripper.clock import Clock
+from gripper.dynamixel import control_table as ct
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.control_table import (
-    PRESENT_BLOCK,
-    PRESENT_CURRENT,
-    PRESENT_INPUT_VOLTAGE,
-    PRESENT_POSITION,
-    PRESENT_PWM,
-    PRESENT_TEMPERATURE,
-    REALTIME_TICK,
-    TICK_MODULO,
-)
 from gripper.dynamixel.drive import SIGMAS
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import BusCorrupt, FeedbackImplausible, LimitExceeded, PositionContradicted
@@ -89,6 +80,7 @@ class MotorTravel:
         # k_e in V s/rad, and its largest error as a share.
         self._back_emf_v_s = model.back_emf_v_s
         self._back_emf_error = SIGMAS * hypot(model.kt_sd, model.back_emf_sd)
+        self._supply_sd = _SUPPLY_SD if model.supply_current else 0.0
         self._sums: deque[_Sums] = deque()
         self.forget()
 
@@ -148,10 +140,6 @@ class MotorTravel:
             ohm, off = volt_s / amp_s, SIGMAS * _RESISTANCE_SD * model.winding_ohm
             if abs(ohm - model.winding_ohm) <= off:
                 self._ohm, self._ohm_sd = ohm, _MEASURED_SD
-
-    @property
-    def _supply_sd(self) -> float:
-        return _SUPPLY_SD if self._model.supply_current else 0.0
 
     def _unknown_v(self, volt_s: float, amp_s: float, time_s: float) -> float:
         ohm_v_s, supply_v_s = self._ohm_sd * self._ohm * amp_s, self._supply_sd * volt_s
@@ -359,10 +347,10 @@ class Feedback:
             Whether the pads may hold a part.
         """
         sent_s = self._clock.monotonic()
-        raws = self._bus.sync_read(self._ids, PRESENT_BLOCK)
+        raws = self._bus.sync_read(self._ids, ct.PRESENT_BLOCK)
         now_s = self._clock.monotonic()
         for servo_id, raw in raws.items():
-            problem = self._ticks[servo_id].check(raw[REALTIME_TICK.name], sent_s, now_s)
+            problem = self._ticks[servo_id].check(raw[ct.REALTIME_TICK.name], sent_s, now_s)
             if problem is not None:
                 try:
                     # An old answer has another length, so it cannot pass for this one.
@@ -374,10 +362,8 @@ class Feedback:
         if not under_torque:
             self.turns.clear()
         servos = tuple(
-            [
-                self._servo_state(servo, raws[servo.servo_id], now_s, under_torque=under_torque)
-                for servo in self._settings.servos
-            ]
+            self._servo_state(servo, raws[servo.servo_id], now_s, under_torque=under_torque)
+            for servo in self._settings.servos
         )
         if under_torque:
             self.check.check(servos, now_s, loaded=loaded)
@@ -395,19 +381,19 @@ class Feedback:
     def _servo_state(
         self, servo: ServoSettings, raw: dict[str, int], now_s: float, *, under_torque: bool
     ) -> ServoState:
-        model, position_raw = servo.servo_model, raw[PRESENT_POSITION.name]
+        model, position_raw = servo.servo_model, raw[ct.PRESENT_POSITION.name]
         # Under torque a servo cannot lose or gain a turn: a change is an error and must be found.
         turns = self.turns.setdefault(servo.servo_id, servo.turns(position_raw))
         angle_rad = servo.angle_rad(position_raw, turns)
-        tick_ms = raw[REALTIME_TICK.name]
+        tick_ms = raw[ct.REALTIME_TICK.name]
         motion = self._moves[servo.servo_id]
         speed_rad_s = motion.speed_rad_s(tick_ms, angle_rad)
-        present_a = raw[PRESENT_CURRENT.name] * model.current_unit_a * servo.direction
-        voltage_v = supply_v = raw[PRESENT_INPUT_VOLTAGE.name] * model.voltage_unit_v
+        present_a = raw[ct.PRESENT_CURRENT.name] * model.current_unit_a * servo.direction
+        voltage_v = supply_v = raw[ct.PRESENT_INPUT_VOLTAGE.name] * model.voltage_unit_v
         if model.supply_current:
             supply = self._supplies[servo.servo_id]
             supply_v = supply.steady_v(voltage_v, under_torque=under_torque)
-        pwm_share = raw[PRESENT_PWM.name] / model.whole_pwm_raw * servo.direction
+        pwm_share = raw[ct.PRESENT_PWM.name] / model.whole_pwm_raw * servo.direction
         current_a, motor_a = winding_a(model, present_a, pwm_share, supply_v, speed_rad_s)
         motor, heat = self.check.motors[servo.servo_id], self._heats[servo.servo_id]
         heat.add(now_s, current_a)
@@ -421,7 +407,7 @@ class Feedback:
             pwm_share=pwm_share,
             motor_rad_s=motor.least_rad_s(pwm_share * supply_v, motor_a),
             position_raw=position_raw,
-            temperature_c=float(raw[PRESENT_TEMPERATURE.name]),
+            temperature_c=float(raw[ct.PRESENT_TEMPERATURE.name]),
             voltage_v=voltage_v,
             supply_v=supply_v,
             tick_ms=tick_ms,
@@ -437,7 +423,7 @@ class Feedback:
         for path, servo in zip(paths, servos, strict=True):
             opening_m_s += linkage.opening_per_rad_m(servo.angle_rad) * servo.velocity_rad_s
             current_a += abs(servo.current_a)
-            force_n += path.force_band_n(abs(servo.current_a))[0]
+            force_n += path.loaded_n(abs(servo.current_a))
         return ServoFeedback(
             t_s=now_s,
             aperture_m=linkage.aperture_m(angles_rad),
@@ -492,10 +478,10 @@ class TickClock:
         if most_s > _TICK_LONGEST_S:
             self._begin(tick_ms, sent_s, received_s)
             return None
-        passed_s = ((tick_ms - self._tick_ms) % TICK_MODULO) * _TICK_S
+        passed_s = ((tick_ms - self._tick_ms) % ct.TICK_MODULO) * _TICK_S
         # A tick slightly back is a lag, not a turn of the modulo. One far back is a restart.
-        if passed_s > TICK_MODULO * _TICK_S - _TICK_LATEST_S:
-            passed_s -= TICK_MODULO * _TICK_S
+        if passed_s > ct.TICK_MODULO * _TICK_S - _TICK_LATEST_S:
+            passed_s -= ct.TICK_MODULO * _TICK_S
         if passed_s > most_s * (1.0 + _TICK_RATE_ERROR) + _TICK_LEAD_S:
             self._begin(tick_ms, sent_s, received_s)
             return BusCorrupt(

@@ -24,9 +24,9 @@ from gripper.mechanics.impact import (
 )
 from gripper.mechanics.transmission import CAP_SHARE, Mechanics, Transmission
 from gripper.servos.motion import slow_rad_s
-from gripper.settings import GripperSettings, ServoSettings
+from gripper.settings import GripperSettings
 from gripper.values.force_sensor import QUIET_N, ForceSample, RecentForce
-from gripper.values.state import ServoFeedback, ServoState
+from gripper.values.state import ServoFeedback
 
 _SURE_SAMPLES = 2
 """Newest samples whose mean is compared with the cap where another measurement excludes noise."""
@@ -152,7 +152,7 @@ class GoalWriter:
             delta_rad = (goal.angle_rad - servo.angle_rad) * settings.direction
             side = copysign(1.0, goal.angle_rad - servo.angle_rad)
             against_rad_s = max(0.0, -side * servo.velocity_rad_s)
-            goal_current = model.current_raw(goal.current_a, servo.supply_v, against_rad_s)
+            goal_current = model.current_counts(goal.current_a, servo.supply_v, against_rad_s)
             least_raw, most_raw = model.goal_range_raw
             if not least_raw <= servo.position_raw <= most_raw:
                 raise LimitExceeded(
@@ -164,7 +164,7 @@ class GoalWriter:
             # A servo would refuse a goal beyond, and no servo answers this write.
             goal_position = min(max(goal_position, least_raw), most_raw)
             values[servo.servo_id] = [
-                min(goal_current, model.current_limit_raw),
+                min(round(goal_current), model.current_limit_raw),
                 model.goal_velocity_raw,
                 0,  # no limit of the acceleration
                 round(goal.profile_rad_s / model.velocity_unit_rad_s),
@@ -205,22 +205,11 @@ class GoalWriter:
         to it between two writes; a profile does too. Brakes that are ``final`` hold the finger
         where it is: their small current would let the part push it.
         """
-        impact = impact_limit(self._mechanics, state.angles_rad)
-        newest = self.newest_force
-        first_n, second_n = (0.0, 0.0) if newest is None else newest.force_n
-        forces_n = (first_n, second_n) if len(goals) > 1 else (min(first_n, second_n),)
         return tuple(
-            self._closing(impact, servo, path, goal, state=now, force_n=force_n, final=final)
-            if goal.angle_rad < now.angle_rad
+            self._closing(index, goal, state, final=final)
+            if goal.angle_rad < servo.angle_rad
             else goal
-            for servo, path, goal, now, force_n in zip(
-                self._settings.servos,
-                self._mechanics.transmissions(state.angles_rad),
-                goals,
-                state.servos,
-                forces_n,
-                strict=True,
-            )
+            for index, (goal, servo) in enumerate(zip(goals, state.servos, strict=True))
         )
 
     def _most_a(self, servo_id: int, goal: ServoGoal, path: Transmission) -> float:
@@ -239,18 +228,14 @@ class GoalWriter:
         return min(asked_a, path.pressing_current_a(most_n))
 
     def _closing(
-        self,
-        impact: ImpactLimit,
-        servo: ServoSettings,
-        path: Transmission,
-        goal: ServoGoal,
-        *,
-        state: ServoState,
-        force_n: float,
-        final: bool,
+        self, index: int, goal: ServoGoal, feedback: ServoFeedback, *, final: bool
     ) -> ServoGoal:
         """Return the goal of a finger that closes, with its current and its speed bounded."""
-        model = servo.servo_model
+        state, model = feedback.servos[index], self._settings.servos[index].servo_model
+        impact = impact_limit(self._mechanics, feedback.angles_rad)
+        path = self._mechanics.transmissions(feedback.angles_rad)[index]
+        forces_n = (0.0, 0.0) if self.newest_force is None else self.newest_force.force_n
+        force_n = forces_n[index] if len(feedback.servos) > 1 else min(forces_n)
         empty = force_n < self._settings.contact_force_n
         if empty and max(abs(state.velocity_rad_s), abs(state.motor_rad_s)) <= slow_rad_s(model):
             stood_a = self._stood_a.get(state.servo_id, 0.0)
@@ -442,7 +427,7 @@ def running_lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) ->
     Its D gain takes a share for the speed. Both signs are those of the lead.
     """
     _, _, position_p_gain = model.position_gains
-    counts = copysign(model.item_counts(abs(current_a)), current_a)
+    counts = copysign(model.current_counts(abs(current_a)), current_a)
     counts += model.damping_a_s * speed_rad_s / model.current_unit_a
     return counts * model.error_per_pwm / position_p_gain * model.rad_per_pulse
 

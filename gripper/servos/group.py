@@ -4,34 +4,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 
+from gripper import errors
 from gripper.clock import Clock
+from gripper.dynamixel import control_table as ct
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.control_table import (
-    BUS_WATCHDOG,
-    GOAL_CURRENT,
-    GOAL_POSITION,
-    GOAL_PWM,
-    HARDWARE_ERROR_STATUS,
-    MODEL_NUMBER,
-    OPERATING_MODE,
-    PWM_LIMIT,
-    REGISTERS,
-    SHUTDOWN,
-    TORQUE_ENABLE,
-    WATCHDOG_TRIPPED_RAW,
-    RegisterBlock,
-)
 from gripper.dynamixel.models import OperatingMode, ServoModel, model_name
-from gripper.errors import (
-    AnswersOff,
-    BusCorrupt,
-    BusTimeout,
-    FeedbackImplausible,
-    GripperError,
-    ServoFault,
-    ServoMissing,
-    VerificationFailed,
-)
 from gripper.mechanics.transmission import Mechanics
 from gripper.servos.feedback import Feedback
 from gripper.servos.goal_limits import (
@@ -66,7 +43,7 @@ _BOOT_TIMEOUT_S = 3.0
 """Longest time in s after that wait until a servo answers."""
 _BOOT_RETRY_S = 0.1
 """Time in s between two requests to a servo that boots."""
-_TORQUE = RegisterBlock(TORQUE_ENABLE)
+_TORQUE = ct.RegisterBlock(ct.TORQUE_ENABLE)
 _CHECKS = 3
 """Checks of each servo in turn: torque, a register of the start, bus watchdog."""
 
@@ -105,7 +82,7 @@ class Servos:
     def read_patiently(self) -> ServoFeedback:
         """Read as `read` does, again where an answer was lost or old; for use between commands."""
         for _ in range(_TRIES - 1):
-            with suppress(BusTimeout, BusCorrupt):
+            with suppress(errors.BusTimeout, errors.BusCorrupt):
                 return self.read()
         return self.read()
 
@@ -172,12 +149,33 @@ class Servos:
         for _ in range(_TRIES):
             try:
                 self.hold_position(share)
-            except GripperError:
+            except errors.GripperError:
                 return list(self._ids)
             unconfirmed = [servo_id for servo_id in self._ids if not self._obeys(servo_id)]
             if not unconfirmed:
                 break
         return unconfirmed
+
+    def lower(self, first: Sequence[ServoGoal], share: float, state: ServoFeedback) -> None:
+        """Write goals with a share of the first currents; below 0 they drive the fingers open.
+
+        The last goals may brake: then their currents are less than the share, and they stay.
+        """
+        if share >= 0.0:
+            goals = [
+                goal._replace(current_a=min(share * goal.current_a, now.lasting.current_a))
+                for goal, now in zip(first, self.goals.last, strict=True)
+            ]
+        else:
+            models = (servo.servo_model for servo in self._settings.servos)
+            goals = [
+                goal._replace(
+                    angle_rad=servo.angle_rad + closing_margin_rad(model, -share * goal.current_a),
+                    current_a=-share * goal.current_a,
+                )
+                for goal, servo, model in zip(first, state.servos, models, strict=True)
+            ]
+        self.goals.write(goals, state)
 
     def _read_after_stall(self) -> None:
         """Read old feedback again: the fingers have moved, and goals by it are refused."""
@@ -185,7 +183,7 @@ class Servos:
         if state is None or any(self._bus.misses[servo_id] for servo_id in self._ids):
             return
         if self._clock.monotonic() - state.t_s > _STALE_PERIODS * self._settings.period_s:
-            with suppress(GripperError):
+            with suppress(errors.GripperError):
                 self.read()
 
     # Torque and bus watchdog
@@ -221,7 +219,7 @@ class Servos:
             self.check_torques()
         if off or not in_force or self._finds_trip():
             if part_possible and not (off or releasing):
-                raise ServoFault(
+                raise errors.ServoFault(
                     self._ids[0],
                     "its bus watchdog has tripped while a part was held: the program sent nothing "
                     f"to the servos for {1e3 * self._settings.watchdog_s:g} ms or more. The servos "
@@ -241,9 +239,9 @@ class Servos:
         self.disarm_watchdog()
         self._hold_present_position(current_a)
         for servo_id in self._ids if switch_on else ():
-            self._bus.write(servo_id, TORQUE_ENABLE, 1)
+            self._bus.write(servo_id, ct.TORQUE_ENABLE, 1)
         for servo_id in self._ids:
-            self._bus.write(servo_id, BUS_WATCHDOG, self._settings.watchdog_raw)
+            self._bus.write(servo_id, ct.BUS_WATCHDOG, self._settings.watchdog_raw)
 
     def disarm_watchdog(self, *, but: Sequence[int] = (), keep_trips: bool = False) -> None:
         """Disarm, or clear after a trip, the bus watchdog of each servo (register 98) but some.
@@ -257,12 +255,12 @@ class Servos:
         keep_trips
             True to leave a tripped watchdog: its servo holds less, and the next command finds it.
         """
-        failed: GripperError | None = None
+        failed: errors.GripperError | None = None
         for servo_id in (servo_id for servo_id in self._ids if servo_id not in but):
             try:
                 if not (keep_trips and self.has_tripped(servo_id)):
-                    self._bus.write(servo_id, BUS_WATCHDOG, 0)
-            except GripperError as error:
+                    self._bus.write(servo_id, ct.BUS_WATCHDOG, 0)
+            except errors.GripperError as error:
                 failed = failed or error
         if failed is not None:
             raise failed
@@ -271,7 +269,7 @@ class Servos:
         """Disarm the watchdog and switch the torque off."""
         self.disarm_watchdog()
         for servo_id in self._ids:
-            self._bus.write(servo_id, TORQUE_ENABLE, 0)
+            self._bus.write(servo_id, ct.TORQUE_ENABLE, 0)
         self.goals.forget()
 
     def go_limp(self) -> None:
@@ -283,10 +281,10 @@ class Servos:
         unconfirmed = list(self._ids)
         for servo_id in [*self._ids] * _TRIES:
             if servo_id in unconfirmed:
-                with suppress(GripperError):
-                    self._bus.write(servo_id, TORQUE_ENABLE, 0)
+                with suppress(errors.GripperError):
+                    self._bus.write(servo_id, ct.TORQUE_ENABLE, 0)
                     unconfirmed.remove(servo_id)
-        with suppress(GripperError):
+        with suppress(errors.GripperError):
             self.disarm_watchdog(but=unconfirmed)
 
     def reboot(self, ids: Sequence[int]) -> None:
@@ -297,7 +295,8 @@ class Servos:
         does not answer within 3 s.
         """
         for servo_id in ids:
-            with suppress(BusTimeout, BusCorrupt):  # a late answer is lost in the restart
+            # A late answer is lost in the restart.
+            with suppress(errors.BusTimeout, errors.BusCorrupt):
                 self._bus.reboot(servo_id)
             self.feedback.check.strayed.pop(servo_id, None)
             self._clock.sleep(_BOOT_S)
@@ -306,7 +305,7 @@ class Servos:
                 try:
                     self._bus.ping(servo_id)
                     break
-                except (BusTimeout, BusCorrupt):
+                except (errors.BusTimeout, errors.BusCorrupt):
                     if self._clock.monotonic() >= deadline_s:
                         raise
                 self._clock.sleep(_BOOT_RETRY_S)
@@ -317,7 +316,7 @@ class Servos:
     def torques(self) -> list[int]:
         """Read Torque Enable (register 64) of each servo."""
         raws = self._bus.sync_read(self._ids, _TORQUE)
-        return [raws[servo_id][TORQUE_ENABLE.name] for servo_id in self._ids]
+        return [raws[servo_id][ct.TORQUE_ENABLE.name] for servo_id in self._ids]
 
     def conditions(self) -> tuple[ServoCondition, ...]:
         """Read torque and errors of each servo; a silent servo is no error here."""
@@ -328,12 +327,12 @@ class Servos:
         silent = ServoCondition(servo_id=servo_id, answers=False, strayed=strayed)
         for _ in range(_TRIES):
             try:
-                torque_on = self._bus.read(servo_id, TORQUE_ENABLE) != 0
-                bits = self._bus.read(servo_id, HARDWARE_ERROR_STATUS)
-                shutdown_bits = self._bus.read(servo_id, SHUTDOWN) if bits else 0
-            except AnswersOff:
+                torque_on = self._bus.read(servo_id, ct.TORQUE_ENABLE) != 0
+                bits = self._bus.read(servo_id, ct.HARDWARE_ERROR_STATUS)
+                shutdown_bits = self._bus.read(servo_id, ct.SHUTDOWN) if bits else 0
+            except errors.AnswersOff:
                 return replace(silent, answers_off=True)
-            except (BusTimeout, BusCorrupt):
+            except (errors.BusTimeout, errors.BusCorrupt):
                 continue
             return ServoCondition(
                 servo_id=servo_id,
@@ -346,11 +345,11 @@ class Servos:
 
     def require_present(self) -> None:
         """Ping every servo. Raises ServoMissing, which names the IDs that answer instead."""
-        silent: dict[int, BusTimeout | BusCorrupt] = {}
+        silent: dict[int, errors.BusTimeout | errors.BusCorrupt] = {}
         for servo_id in self._ids:
             try:
                 self._bus.ping(servo_id)
-            except (BusTimeout, BusCorrupt) as error:
+            except (errors.BusTimeout, errors.BusCorrupt) as error:
                 silent[servo_id] = error
         if not silent:
             return
@@ -375,7 +374,7 @@ class Servos:
             else "check supply, cable, gripper.baud_rate and gripper.servos[].id, and that no two "
             "servos share an ID"
         )
-        raise ServoMissing(report, advice) from next(iter(silent.values()))
+        raise errors.ServoMissing(report, advice) from next(iter(silent.values()))
 
     def verify(self, *, correct: bool, refuse: bool = False) -> VerificationReport:
         """Compare the registers of all servos with their requirements.
@@ -396,14 +395,14 @@ class Servos:
         if correct:
             self._bus.port.return_delay_s = 0.0
         if refuse and not report.ok:
-            errors = [row for row in report.failed if row.item == HARDWARE_ERROR_STATUS.name]
-            if len(errors) < len(report.failed):
-                raise VerificationFailed(report)
-            raise ServoFault(
-                errors[0].servo_id,
+            reported = [row for row in report.failed if row.item == ct.HARDWARE_ERROR_STATUS.name]
+            if len(reported) < len(report.failed):
+                raise errors.VerificationFailed(report)
+            raise errors.ServoFault(
+                reported[0].servo_id,
                 "it reports a hardware error from before the start and nothing has moved; remedy "
                 "its cause, then clear it with a reboot",
-                bits=int(errors[0].actual),
+                bits=int(reported[0].actual),
                 torque_lost=True,
             )
         return report
@@ -419,12 +418,14 @@ class Servos:
             condition.servo_id: condition.error_bits for condition in self.conditions()
         }
         report = self.verify(correct=False)
-        if all(row.item == HARDWARE_ERROR_STATUS.name for row in report.failed):
+        if all(row.item == ct.HARDWARE_ERROR_STATUS.name for row in report.failed):
             return
         self.switch_off()
         report = self.verify(correct=True)
-        if any(row.item != HARDWARE_ERROR_STATUS.name for row in report.failed):
-            raise VerificationFailed(report, "the torque is off now and the fingers did not open")
+        if any(row.item != ct.HARDWARE_ERROR_STATUS.name for row in report.failed):
+            raise errors.VerificationFailed(
+                report, "the torque is off now and the fingers did not open"
+            )
 
     def end_release(self) -> None:
         """End the acceptance of errors of servos, and of positions that a part let go explains."""
@@ -439,14 +440,14 @@ class Servos:
         servo_id = servo.servo_id
         self._bus.ping(servo_id)
         for required in self._required(servo):
-            register = REGISTERS[required.item]
+            register = ct.REGISTERS[required.item]
             raw = self._bus.read(servo_id, register)
             allowed = correct and required.item in CORRECTABLE
             if corrects := allowed and not required.met_by(raw):
                 self._bus.write(servo_id, register, required.low)
                 raw = self._bus.read(servo_id, register)
             yield required.row(servo_id, raw, corrected=corrects)
-            if register is MODEL_NUMBER and not required.met_by(raw):
+            if register is ct.MODEL_NUMBER and not required.met_by(raw):
                 # For another model the other items may have another meaning.
                 return
 
@@ -477,7 +478,7 @@ class Servos:
         elif check == 1:
             self._check_register(index, n_rounds)
         elif watchdog and self.has_tripped(self._ids[index]):
-            raise ServoFault(
+            raise errors.ServoFault(
                 self._ids[index],
                 "its bus watchdog has tripped because the loop fell silent; the servo has "
                 "stopped, a part may still be gripped",
@@ -488,11 +489,11 @@ class Servos:
         servo = self._settings.servos[index]
         required = self._required(servo)
         item = required[n_rounds % len(required)]
-        if item.item == HARDWARE_ERROR_STATUS.name:
+        if item.item == ct.HARDWARE_ERROR_STATUS.name:
             return
-        raw = self._bus.read(servo.servo_id, REGISTERS[item.item])
+        raw = self._bus.read(servo.servo_id, ct.REGISTERS[item.item])
         if not item.met_by(raw):
-            raise ServoFault(
+            raise errors.ServoFault(
                 servo.servo_id,
                 f"its register {item.item} has changed since the start: expected "
                 f"{item.expected}, found {raw}. Somebody else writes to this servo, or it has "
@@ -500,15 +501,15 @@ class Servos:
             )
 
     def _check_hardware(self, servo_id: int) -> None:
-        bits = self._bus.read(servo_id, HARDWARE_ERROR_STATUS)
+        bits = self._bus.read(servo_id, ct.HARDWARE_ERROR_STATUS)
         if bits:
-            lost = self._bus.read(servo_id, TORQUE_ENABLE) == 0
+            lost = self._bus.read(servo_id, ct.TORQUE_ENABLE) == 0
             if not lost and bits == self._accepted.get(servo_id):
                 return
             if not lost and bits == HardwareError.OVERLOAD:
                 if servo_id in self._overloaded:
                     return
-                shutdown_raw = self._bus.read(servo_id, SHUTDOWN)
+                shutdown_raw = self._bus.read(servo_id, ct.SHUTDOWN)
                 if not shutdown_raw & bits:
                     self._overloaded.add(servo_id)
                     self.notes.append(f"servo {servo_id}: {overload_text(shutdown_raw)}")
@@ -519,13 +520,13 @@ class Servos:
                 if lost
                 else "it reports a hardware error and still has its torque"
             )
-            raise ServoFault(servo_id, detail, bits=bits, torque_lost=lost)
+            raise errors.ServoFault(servo_id, detail, bits=bits, torque_lost=lost)
 
     def check_torque(self, servo_id: int) -> None:
         """Raise ServoFault when a servo has lost its torque."""
-        if self._bus.read(servo_id, TORQUE_ENABLE) == 0:
-            bits = self._bus.read(servo_id, HARDWARE_ERROR_STATUS)
-            raise ServoFault(
+        if self._bus.read(servo_id, ct.TORQUE_ENABLE) == 0:
+            bits = self._bus.read(servo_id, ct.HARDWARE_ERROR_STATUS)
+            raise errors.ServoFault(
                 servo_id,
                 "its torque is off although it was not switched off here: a reboot, a shutdown, "
                 "or another program on the bus",
@@ -536,12 +537,12 @@ class Servos:
     def check_torques(self) -> None:
         """Raise ServoFault when a servo has lost its torque; a lost answer decides nothing."""
         for servo_id in self._ids:
-            with self.in_loop(), suppress(BusTimeout, BusCorrupt):
+            with self.in_loop(), suppress(errors.BusTimeout, errors.BusCorrupt):
                 self.check_torque(servo_id)
 
     def has_tripped(self, servo_id: int) -> bool:
         """Read the bus watchdog of a servo (register 98); return whether it has tripped."""
-        return self._bus.read(servo_id, BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW
+        return self._bus.read(servo_id, ct.BUS_WATCHDOG) == ct.WATCHDOG_TRIPPED_RAW
 
     # Parts
 
@@ -552,11 +553,11 @@ class Servos:
         """
         tripped = False
         for servo_id in self._ids:
-            raw = self._bus.read(servo_id, BUS_WATCHDOG)
-            if raw == WATCHDOG_TRIPPED_RAW:
+            raw = self._bus.read(servo_id, ct.BUS_WATCHDOG)
+            if raw == ct.WATCHDOG_TRIPPED_RAW:
                 tripped = True
             elif raw != self._settings.watchdog_raw:
-                self._bus.write(servo_id, BUS_WATCHDOG, self._settings.watchdog_raw)
+                self._bus.write(servo_id, ct.BUS_WATCHDOG, self._settings.watchdog_raw)
         return tripped
 
     def _check_goal_is_near(self, servo: ServoState, model: ServoModel) -> None:
@@ -566,12 +567,12 @@ class Servos:
         servo's control loop. A goal made of it would move the finger there.
         """
         servo_id, position_raw = servo.servo_id, servo.position_raw
-        if self._bus.read(servo_id, TORQUE_ENABLE) == 0:
+        if self._bus.read(servo_id, ct.TORQUE_ENABLE) == 0:
             return
-        goal_raw = self._bus.read(servo_id, GOAL_POSITION)
+        goal_raw = self._bus.read(servo_id, ct.GOAL_POSITION)
         away_rad = abs(position_raw - goal_raw) * model.rad_per_pulse
         if away_rad > _FARTHEST_GOAL_RAD:
-            raise FeedbackImplausible(
+            raise errors.FeedbackImplausible(
                 f"servo {servo_id}: it reports the position {position_raw} while it holds the goal "
                 f"{goal_raw}, {away_rad:.2f} rad away, at most {_FARTHEST_GOAL_RAD} rad are "
                 f"plausible: where its finger is, is unknown, so the torque is switched off and a "
@@ -581,8 +582,8 @@ class Servos:
     def _check_mode(self) -> None:
         """Raise ServoFault where a servo is in another mode: the meaning of goals differs."""
         for servo_id in self._ids:
-            if self._bus.read(servo_id, OPERATING_MODE) != OperatingMode.CURRENT_BASED_POSITION:
-                raise ServoFault(
+            if self._bus.read(servo_id, ct.OPERATING_MODE) != OperatingMode.CURRENT_BASED_POSITION:
+                raise errors.ServoFault(
                     servo_id,
                     "its operating mode is no longer 5 (current-based position): it restarted, or "
                     "another program wrote to it. Clear the fault, then reset",
@@ -609,16 +610,16 @@ class Servos:
             raise fault
         for servo_id in self._ids:
             # The goals of the other modes limit this mode too.
-            self._bus.write(servo_id, GOAL_PWM, self._bus.read(servo_id, PWM_LIMIT))
+            self._bus.write(servo_id, ct.GOAL_PWM, self._bus.read(servo_id, ct.PWM_LIMIT))
 
-    def _not_taken(self) -> ServoFault | None:
+    def _not_taken(self) -> errors.ServoFault | None:
         """Read the last goals back; return the fault of a servo that has another goal."""
         goals_raw = self._bus.sync_read(self._ids, GOAL_BLOCK)
         for servo_id, (current_raw, *_, position_raw) in self.goals.raws.items():
-            wrote = {GOAL_POSITION.name: position_raw, GOAL_CURRENT.name: current_raw}
+            wrote = {ct.GOAL_POSITION.name: position_raw, ct.GOAL_CURRENT.name: current_raw}
             for name, raw in wrote.items():
                 if (read_raw := goals_raw[servo_id][name]) != raw:
-                    return ServoFault(
+                    return errors.ServoFault(
                         servo_id,
                         f"it did not take its {name}: wrote {raw}, read {read_raw}; check the "
                         f"servo line, then clear the fault",
@@ -632,11 +633,11 @@ class Servos:
         """
         if self._bus.misses[servo_id]:
             return False
-        with suppress(GripperError):
-            if self._bus.read(servo_id, GOAL_POSITION) == self.goals.raws[servo_id][-1]:
+        with suppress(errors.GripperError):
+            if self._bus.read(servo_id, ct.GOAL_POSITION) == self.goals.raws[servo_id][-1]:
                 return True
             if self.has_tripped(servo_id):
-                self._bus.write(servo_id, BUS_WATCHDOG, 0)
+                self._bus.write(servo_id, ct.BUS_WATCHDOG, 0)
         return False
 
 
@@ -657,30 +658,4 @@ def for_hours(goals: Sequence[ServoGoal], settings: GripperSettings) -> list[Ser
     return [
         goal._replace(current_a=min(goal.current_a, servo.servo_model.holding_a))
         for goal, servo in zip(goals, settings.servos, strict=True)
-    ]
-
-
-def lowered(
-    first: Sequence[ServoGoal],
-    last: Sequence[ServoGoal],
-    share: float,
-    state: ServoFeedback,
-    settings: GripperSettings,
-) -> list[ServoGoal]:
-    """Return goals with a share of the first currents; below 0 they drive the fingers open.
-
-    The last goals may brake: then their currents are less than the share, and they stay.
-    """
-    if share >= 0.0:
-        return [
-            goal._replace(current_a=min(share * goal.current_a, now.lasting.current_a))
-            for goal, now in zip(first, last, strict=True)
-        ]
-    models = (servo.servo_model for servo in settings.servos)
-    return [
-        goal._replace(
-            angle_rad=servo.angle_rad + closing_margin_rad(model, -share * goal.current_a),
-            current_a=-share * goal.current_a,
-        )
-        for goal, servo, model in zip(first, state.servos, models, strict=True)
     ]

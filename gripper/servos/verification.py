@@ -74,7 +74,7 @@ def requirements(
     """
     # The lowest supply needs most.
     lowest_v = model.min_voltage_raw * model.voltage_unit_v
-    needed_raw = min(model.current_raw(current_max_a, lowest_v), model.current_limit_raw)
+    needed_raw = min(round(model.current_counts(current_max_a, lowest_v)), model.current_limit_raw)
     whole_pwm = model.whole_pwm_raw
     share = _PWM_RESERVE * whole_pwm * current_max_a / model.stall_current_a
     needed_pwm = min(whole_pwm, ceil(share))

@@ -6,7 +6,6 @@ until the watchdog must have tripped, and the positions are compared.
 """
 
 from collections.abc import Sequence
-from math import inf
 
 from gripper.clock import Clock
 from gripper.errors import FingerBlocked, LimitExceeded, WatchdogUnproven
@@ -57,10 +56,7 @@ def prove_watchdog(servos: Servos, clock: Clock) -> None:
     paths = mechanics.transmissions(begin.angles_rad)
     # Friction at rest may be several times that of the model, or that measured in motion.
     currents_a = [
-        max(
-            current_a,
-            min(path.most_boost * current_a, closing_current_max_a(settings, path, stood_a=inf)),
-        )
+        max(current_a, min(path.most_boost * current_a, closing_current_max_a(settings, path)))
         for current_a, path in zip(mechanics.motion_currents_a(paths, _FORCE_N), paths, strict=True)
     ]
     goals = [

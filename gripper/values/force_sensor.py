@@ -76,23 +76,15 @@ class RecentForce:
     ----------
     noise_n
         Standard deviation in N of the mean grip force that is low enough.
-    least
-        Samples that are kept although they are older than ``longest_s``.
-    longest_s
-        Largest age in s of other samples, counted from the newest one; None: that of the oldest of
-        ``least`` frames, with half a frame to spare.
+    one_frame
+        True to keep the samples of one frame only: one of a slow sensor. Else those of the last
+        three frames are kept, with half a frame to spare; of a slow sensor three.
     """
 
-    def __init__(
-        self,
-        noise_n: float = QUIET_N,
-        *,
-        least: int = LEAST_SAMPLES,
-        longest_s: float | None = None,
-    ) -> None:
+    def __init__(self, noise_n: float = QUIET_N, *, one_frame: bool = False) -> None:
         self._noise_n = noise_n
-        self._least = least
-        self._longest_s = (least - 0.5) * FRAME_S if longest_s is None else longest_s
+        self._least = 1 if one_frame else LEAST_SAMPLES
+        self._longest_s = ONE_FRAME_S if one_frame else (LEAST_SAMPLES - 0.5) * FRAME_S
         self._samples: deque[ForceSample] = deque()
 
     def __len__(self) -> int:

@@ -14,11 +14,11 @@ class HardwareError(IntFlag):
     OVERLOAD = 32
 
 
-def hardware_error_names(bits: int) -> tuple[str, ...]:
+def hardware_errors_text(bits: int) -> str:
     """Return the names of the bits of Hardware Error Status (register 70), lowest bit first."""
     names = {int(bit): name for name, bit in HardwareError.__members__.items()}
     texts = (names.get(1 << n, f"undefined bit {n}") for n in range(8) if bits >> n & 1)
-    return tuple(name.lower().replace("_", " ") for name in texts)
+    return ", ".join(name.lower().replace("_", " ") for name in texts)
 
 
 def overload_text(shutdown_raw: int) -> str:
@@ -61,7 +61,7 @@ class ServoCondition:
         if not self.answers:
             return f"servo {self.servo_id} does not answer"
         torque = "its torque on" if self.torque_on else "no torque"
-        errors = ", ".join(hardware_error_names(self.error_bits))
+        errors = hardware_errors_text(self.error_bits)
         strayed = f", and where its finger is, is unknown: {self.strayed}" if self.strayed else ""
         return f"servo {self.servo_id} has {torque}" + (f" ({errors})" if errors else "") + strayed
 

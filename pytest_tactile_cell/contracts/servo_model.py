@@ -22,7 +22,7 @@ def test_its_figures_fit_each_other(plugin_name: str) -> None:
     assert 0.0 < model.friction_nm < 0.5 * model.stall_torque_nm
     assert model.rotor_inertia_kg_m2 > 0.0
     count_a = 2.0 * model.current_unit_a
-    assert model.winding_a(model.current_raw(0.5)) == pytest.approx(0.5, abs=count_a)
+    assert model.winding_a(round(model.current_counts(0.5))) == pytest.approx(0.5, abs=count_a)
 
 
 def test_its_simulated_servo_answers(plugin_name: str) -> None:

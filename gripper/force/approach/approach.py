@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from math import inf, sqrt
 
@@ -10,7 +10,7 @@ from gripper.force.certainty import BRIEF_S, PRESENT_SHARE, REACHED_SHARE, STALL
 from gripper.force.estimates.grip import StiffnessEstimate
 from gripper.force.loop import Action, Moment
 from gripper.mechanics.impact import approach_speed_m_s, closing_current_max_a, slowing_way_m
-from gripper.mechanics.transmission import BOOST_PER_S, MOST_FRICTION, Mechanics
+from gripper.mechanics.transmission import BOOST_PER_S, MOST_FRICTION, Mechanics, Transmission
 from gripper.servos.goal_limits import (
     ServoGoal,
     closing_margin_rad,
@@ -18,8 +18,9 @@ from gripper.servos.goal_limits import (
     running_lead_rad,
 )
 from gripper.servos.motion import slow_rad_s
-from gripper.values.force_sensor import ONE_FRAME_S, QUIET_N, ForceSample, RecentForce
-from gripper.values.state import STANDING_M_S, ServoFeedback
+from gripper.settings import ServoSettings
+from gripper.values.force_sensor import QUIET_N, ForceSample, RecentForce
+from gripper.values.state import STANDING_M_S, ServoFeedback, ServoState
 
 _TOUCH_N = 0.12
 """Least force in N on a pad that shows a first touch, also on a quiet pad. [tuned]"""
@@ -108,7 +109,7 @@ class ContactDetector:
         self._samples = samples
         self._counts = [0, 0]
         self._first_s = [0.0, 0.0]
-        self._recent = RecentForce(least=1, longest_s=ONE_FRAME_S)
+        self._recent = RecentForce(one_frame=True)
 
     @property
     def touched(self) -> tuple[bool, bool]:
@@ -186,12 +187,27 @@ class ApproachEvent(Enum):
 
 @dataclass(slots=True)
 class _Finger:
-    """One finger: the factor on its current, its brake, and where it waits after its touch."""
+    """One finger: its brake, where it waits after its touch, and its currents where it is now."""
 
-    boost: float = 1.0
+    servo: ServoSettings
+    least_rad: float
+    """Its servo, and the most closed goal in rad."""
     braked_s: float | None = None
     drive_n: float = _CREEP_N
     waits_rad: float | None = None
+    boost: float = 1.0
+    """Factor on its current."""
+    path: Transmission = field(init=False)
+    closing_a: float = field(init=False)
+    most_a: float = field(init=False)
+    reach_m: float = field(init=False)
+    """Its transmission, its current without the factor, the largest one, and the opening in m by
+    one rad."""
+
+    @property
+    def current_a(self) -> float:
+        """Its goal current in A."""
+        return min(self.closing_a * self.boost, self.most_a)
 
 
 class Approach:
@@ -232,22 +248,16 @@ class Approach:
         """Stiffness of the part so far."""
         self.mechanics, self.settings = mechanics, mechanics.settings
         settings, self._linkage = self.settings, mechanics.linkage
-        self._least_rad = most_closed_rad(mechanics)
         self._slow_at_m = inf
         if widest_m is not None:
-            self._slow_at_m = widest_m + slowing_way_m(
-                mechanics,
-                self._linkage.angles_rad(widest_m),
-                from_m_s=approach_speed_m_s(mechanics, state.angles_rad, travelling=True),
-                to_m_s=approach_speed_m_s(mechanics, state.angles_rad),
-            )
+            self._slow_at_m = widest_m + slowing_way_m(mechanics, state.angles_rad, widest_m)
         self._travels = state.aperture_m > self._slow_at_m
         self._may_boost = may_boost
         self._changed_s, self._changes = state.t_s, True
         self._aperture_m = state.aperture_m
         self._detector = ContactDetector(settings.contact_force_n, settings.contact_samples)
         self._touch, self._was_touched = FirstTouch(), False
-        self._fingers = [_Finger() for _ in state.servos]
+        self._fingers = list(map(_Finger, settings.servos, most_closed_rad(mechanics)))
         self._deadline_s = state.t_s + settings.contact_timeout_s
         self._moving_s = state.t_s
         self._look(state)
@@ -255,37 +265,34 @@ class Approach:
     def _look(self, state: ServoFeedback) -> None:
         """Set transmissions, currents, speed and lead by the present position and friction."""
         mechanics, settings, linkage = self.mechanics, self.settings, self._linkage
-        self._paths = paths = mechanics.transmissions(state.angles_rad)
-        self._most_a = [closing_current_max_a(settings, path, stood_a=inf) for path in paths]
+        paths = mechanics.transmissions(state.angles_rad)
         needed_a = mechanics.motion_currents_a(paths, settings.approach_force_n)
-        self._closing_a = list(map(min, needed_a, self._most_a))
+        for index, finger in enumerate(self._fingers):
+            finger.path = paths[index]
+            finger.most_a = closing_current_max_a(settings, finger.path)
+            finger.closing_a = min(needed_a[index], finger.most_a)
+            finger.reach_m = linkage.opening_per_rad_m(state.angles_rad[index])
         self._speed_m_s = approach_speed_m_s(mechanics, state.angles_rad, travelling=self._travels)
-        self._reach_m = [linkage.opening_per_rad_m(angle_rad) for angle_rad in state.angles_rad]
-        self._nominal_rad_s = speed = self._speed_m_s / sum(self._reach_m)
-        self._lead_m = sum(
-            reach_m * running_lead_rad(servo.servo_model, path.drive.moving_a(speed), speed)
-            for reach_m, servo, path in zip(self._reach_m, settings.servos, paths, strict=True)
-        )
+        reach_m = sum(finger.reach_m for finger in self._fingers)
+        self._nominal_rad_s = speed = self._speed_m_s / reach_m
+        self._lead_m = 0.0
+        for finger in self._fingers:
+            model, moving_a = finger.servo.servo_model, finger.path.drive.moving_a(speed)
+            self._lead_m += finger.reach_m * running_lead_rad(model, moving_a, speed)
 
     @property
     def currents_a(self) -> list[float]:
         """Goal current of each servo now in A."""
-        return [
-            min(closing_a * finger.boost, most_a)
-            for closing_a, finger, most_a in zip(
-                self._closing_a, self._fingers, self._most_a, strict=True
-            )
-        ]
+        return [finger.current_a for finger in self._fingers]
 
     @property
     def friction_advice(self) -> str:
         """Advice where a servo has the most current that the cap of the force allows, or empty."""
-        currents_a = zip(self.settings.servos, self.currents_a, self._most_a, strict=True)
-        for servo, current_a, most_a in currents_a:
-            if current_a >= most_a:
+        for finger in self._fingers:
+            if finger.current_a >= finger.most_a:
                 return (
-                    f"; or servo {servo.servo_id} does not overcome its friction with "
-                    f"{most_a:.2f} A, the most that gripper.force_max_n = "
+                    f"; or servo {finger.servo.servo_id} does not overcome its friction with "
+                    f"{finger.most_a:.2f} A, the most that gripper.force_max_n = "
                     f"{self.settings.force_max_n:g} N allows: raise that, or lengthen the levers "
                     f"of the fingers"
                 )
@@ -324,24 +331,22 @@ class Approach:
         touched = self._touched()
         self._boost(moment, free=self._may_boost and not any(touched))
         self.event = self._result(moment.now_s, touched)
-        currents_a = self._most_a if self._changes and self._travels else self.currents_a
         angles_rad = self._linkage.angles_rad(self._aperture_m)
         goals = []
-        for index, (finger, servo, ahead_rad, closing_a, least_rad) in enumerate(
-            zip(self._fingers, state.servos, angles_rad, currents_a, self._least_rad, strict=True)
-        ):
+        for index, (finger, servo) in enumerate(zip(self._fingers, state.servos, strict=True)):
             waits = touched[index] and len(self._fingers) > 1
             since_rad = servo.angle_rad if finger.waits_rad is None else finger.waits_rad
             finger.waits_rad = since_rad if waits else None
-            angle_rad, current_a = ahead_rad, closing_a
+            angle_rad = angles_rad[index]
+            current_a = finger.most_a if self._changes and self._travels else finger.current_a
             if self.event in (ApproachEvent.LIMIT, ApproachEvent.OBSTRUCTED):
                 angle_rad = servo.angle_rad
             elif finger.waits_rad is not None:
                 angle_rad = finger.waits_rad
             elif finger.braked_s is not None and self.event is ApproachEvent.CLOSING:
-                angle_rad, current_a = self._creeping(moment, index)
+                angle_rad, current_a = self._creeping(moment, finger, servo)
             # A lead in mm is a large angle of a small pinion.
-            angle_rad = max(angle_rad, min(least_rad, servo.angle_rad))
+            angle_rad = max(angle_rad, min(finger.least_rad, servo.angle_rad))
             goals.append(ServoGoal(angle_rad=angle_rad, current_a=current_a))
         return Action(goals=goals, done=self.event is not ApproachEvent.CLOSING)
 
@@ -394,38 +399,33 @@ class Approach:
         pressing_m = 0.0
         if max(finger.boost for finger in self._fingers) > 1.0:
             pressing_m = sum(
-                reach_m * closing_margin_rad(servo.servo_model, current_a)
-                for reach_m, servo, current_a in zip(
-                    self._reach_m, self.settings.servos, self.currents_a, strict=True
-                )
+                finger.reach_m * closing_margin_rad(finger.servo.servo_model, finger.current_a)
+                for finger in self._fingers
             )
         return max(_LEAD_M, self._lead_m, pressing_m)
 
     def _boost(self, moment: Moment, *, free: bool) -> None:
         """Let the current of each finger grow while it stands untouched; it falls twice as fast."""
         step = BOOST_PER_S * moment.dt_s
-        for finger, servo, path in zip(
-            self._fingers, moment.state.servos, self._paths, strict=True
-        ):
+        for finger, servo in zip(self._fingers, moment.state.servos, strict=True):
             stands = abs(servo.velocity_rad_s) <= (1.0 - REACHED_SHARE) * self._nominal_rad_s
             if free and finger.braked_s is None and stands:
-                finger.boost = min(path.most_boost, finger.boost + step)
-            elif path.drive.measured:
+                finger.boost = min(finger.path.most_boost, finger.boost + step)
+            elif finger.path.drive.measured:
                 finger.boost = max(1.0, finger.boost - 2.0 * step)
 
-    def _creeping(self, moment: Moment, index: int) -> tuple[float, float]:
+    def _creeping(self, moment: Moment, finger: _Finger, servo: ServoState) -> tuple[float, float]:
         """Return goal angle and current of a braked finger: at rest, then with growing force."""
-        finger, servo, path = self._fingers[index], moment.state.servos[index], self._paths[index]
-        model = self.settings.servos[index].servo_model
+        model, path = finger.servo.servo_model, finger.path
         assert finger.braked_s is not None
         runs = -servo.velocity_rad_s > slow_rad_s(model)
         if runs or moment.now_s - finger.braked_s < _BRAKED_S:
-            return servo.angle_rad, self.currents_a[index]
+            return servo.angle_rad, finger.current_a
         finger.drive_n += _CREEP_N_S * moment.dt_s
         current_a = min(
             path.drive.breakaway_a + finger.drive_n / path.n_per_a,
-            MOST_FRICTION * self._closing_a[index],
-            self._most_a[index],
+            MOST_FRICTION * finger.closing_a,
+            finger.most_a,
         )
         return servo.angle_rad - closing_margin_rad(model, current_a), current_a
 
@@ -445,19 +445,16 @@ class Approach:
             return ApproachEvent.LIMIT
         if all(touched):
             return ApproachEvent.CONTACT
-        currents_a = self.currents_a
         loaded = any(
-            abs(servo.current_a) >= REACHED_SHARE * current_a
-            for servo, current_a in zip(state.servos, currents_a, strict=True)
+            abs(servo.current_a) >= REACHED_SHARE * finger.current_a
+            for servo, finger in zip(state.servos, self._fingers, strict=True)
         )
         # Fingers of unknown friction get time to break away.
         loaded &= all(
-            path.drive.measured
-            or finger.boost >= path.drive.most_breakaway_a / path.drive.breakaway_a
-            or current_a >= most_a
-            for finger, path, current_a, most_a in zip(
-                self._fingers, self._paths, currents_a, self._most_a, strict=True
-            )
+            finger.path.drive.measured
+            or finger.boost >= finger.path.drive.most_breakaway_a / finger.path.drive.breakaway_a
+            or finger.current_a >= finger.most_a
+            for finger in self._fingers
         )
         if not loaded or abs(state.aperture_velocity_m_s) > STANDING_M_S:
             self._moving_s = now_s

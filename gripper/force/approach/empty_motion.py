@@ -2,12 +2,7 @@
 
 from math import inf
 
-from gripper.errors import (
-    FeedbackImplausible,
-    FingerBlocked,
-    MechanicsContradicted,
-    PositionContradicted,
-)
+from gripper import errors
 from gripper.force.approach.mechanics_proof import mechanics_text
 from gripper.force.certainty import BRIEF_S, STEADY_S
 from gripper.force.loop import Action, Moment
@@ -78,7 +73,7 @@ class StandStill:
             away_rad = abs(running_lead_rad(model, mean_a, 0.0))
             drives = away_rad > abs(moved_rad) + _REACHED_PULSES * model.rad_per_pulse
             if abs(moved_rad) > _MOVED_RAD or (done and drives):
-                raise FeedbackImplausible(
+                raise errors.FeedbackImplausible(
                     f"servo {servo.servo_id}: it has moved by {moved_rad:+.3f} rad, with "
                     f"{mean_a:+.3f} A, although its goal is the position that it reported: the "
                     f"reported position is wrong, or something drives it, so the torque is "
@@ -131,14 +126,11 @@ class MoveTo:
             fastest_m_s = closing_speed_m_s(mechanics, state.angles_rad)
             speed_m_s = min(speed_m_s or settings.approach_speed_m_s, fastest_m_s)
         rate_rad_s = speed_m_s / sum(map(linkage.opening_per_rad_m, state.angles_rad))
+        closed_rad = most_closed_rad(mechanics)
         self._fingers = [
             _Finger(servo, start_rad, end_rad, rate_rad_s=rate_rad_s, least_rad=least_rad)
             for servo, start_rad, end_rad, least_rad in zip(
-                settings.servos,
-                state.angles_rad,
-                target_rad,
-                most_closed_rad(mechanics),
-                strict=True,
+                settings.servos, state.angles_rad, target_rad, closed_rad, strict=True
             )
         ]
         self._begun_s = state.t_s
@@ -148,17 +140,15 @@ class MoveTo:
     def _set_currents(self, paths: tuple[Transmission, ...]) -> None:
         settings = self._settings
         force_n = OPENING_N if self._opening else settings.approach_force_n
+        without_force_a = self._mechanics.motion_currents_a(paths, 0.0)
+        currents_a = self._mechanics.motion_currents_a(paths, force_n)
         for finger, path, least_a, current_a in zip(
-            self._fingers,
-            paths,
-            self._mechanics.motion_currents_a(paths, 0.0),
-            self._mechanics.motion_currents_a(paths, force_n),
-            strict=True,
+            self._fingers, paths, without_force_a, currents_a, strict=True
         ):
             # The same current makes more force at wider openings.
             finger.most_a = settings.current_max_a
             if not self._opening:
-                finger.most_a = closing_current_max_a(settings, path, stood_a=inf)
+                finger.most_a = closing_current_max_a(settings, path)
             finger.least_a, finger.current_a = least_a, current_a
             finger.most_boost = path.most_boost if self._opening else inf
 
@@ -174,7 +164,7 @@ class MoveTo:
         """
         pressed = self._rise.growth(moment) if self._only_open else ""
         if pressed:
-            raise PositionContradicted(
+            raise errors.PositionContradicted(
                 f"{pressed} while the fingers open: they close, or something pushes them "
                 f"together. They stand still; take the part out by hand, then check "
                 f"{mechanics_text(self._mechanics)}"
@@ -197,7 +187,7 @@ class MoveTo:
         arrived = all(finger.there for finger in self._fingers)
         if not arrived and moment.now_s > self._deadline_s:
             slowest = next(finger for finger in self._fingers if not finger.there)
-            raise FingerBlocked(
+            raise errors.FingerBlocked(
                 f"servo {slowest.servo.servo_id}: its finger is stuck: the gripper stands at "
                 f"{moment.state.aperture_m * 1e3:.1f} mm on its way to "
                 f"{self._aperture_m * 1e3:.1f} mm; if nothing blocks it, check "
@@ -282,9 +272,9 @@ class FirstMotion(MoveTo):
                     other.still_s = 0.0  # it has not stood with this current yet
                     other.lead_rad = closing_margin_rad(other.servo.servo_model, other.most_a)
 
-    def _contradicted(self, servo: ServoState, cause: str) -> MechanicsContradicted:
+    def _contradicted(self, servo: ServoState, cause: str) -> errors.MechanicsContradicted:
         most_a = max(finger.current_a for finger in self._fingers)
-        return MechanicsContradicted(
+        return errors.MechanicsContradicted(
             f"servo {servo.servo_id}: {cause}, at an opening of {self._stands_m * 1e3:.1f} mm on "
             f"its way to {self._aperture_m * 1e3:.1f} mm, with {most_a:.2f} A, the "
             f"least that moves it. So the settings do not match the position of the fingers, "

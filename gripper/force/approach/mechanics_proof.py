@@ -132,15 +132,13 @@ def _half_m(linkage: Linkage, angle_rad: float) -> float | None:
 
 def meeting(mechanics: Mechanics) -> Mechanics:
     """Return the mechanics for an approach until the pads of empty fingers meet."""
-    timeout_s = min(_LONGER * mechanics.settings.contact_timeout_s, 60.0)
-    return mechanics.with_settings(
-        replace(
-            mechanics.settings,
-            aperture_min_m=-(ZERO_RANGE_M + _PADS_GIVE_M),
-            aperture_pressed_m=None,
-            contact_timeout_s=timeout_s,
-        )
+    settings = replace(
+        mechanics.settings,
+        aperture_min_m=-(ZERO_RANGE_M + _PADS_GIVE_M),
+        aperture_pressed_m=None,
+        contact_timeout_s=min(_LONGER * mechanics.settings.contact_timeout_s, 60.0),
     )
+    return mechanics.with_settings(settings)
 
 
 def not_met(mechanics: Mechanics, state: ServoFeedback, advice: str) -> GripperError:

@@ -69,33 +69,25 @@ class DriveGoals:
         # The newest samples may be those of a fault that is not detected yet.
         self._balances_n.add(state.t_s, max(balance_n, 0.0))
         most_n = self._balances_n.most(since_s=state.t_s - LOOK_BACK_S)
-        for servo, path, settings, contact_rad, deepest_rad, widest_rad, least_rad in zip(
-            state.servos,
-            paths,
-            grip.settings.servos,
-            self._contact_rad,
-            self._deepest_rad,
-            stop_rad,
-            self._least_rad,
-            strict=True,
-        ):
+        for index, (servo, path) in enumerate(zip(state.servos, paths, strict=True)):
+            model, deepest_rad = grip.settings.servos[index].servo_model, self._deepest_rad[index]
             # A position that drifts open must not move a closing goal to the open side.
-            closed_rad = min(least_rad, servo.angle_rad)
+            closed_rad = min(self._least_rad[index], servo.angle_rad)
             held_n = most_n + _REST_SHARE * path.friction_n
             held_a = min(held_n / path.n_per_a, grip.settings.current_max_a)
-            rest = self._closing(settings.servo_model, held_a, deepest_rad, closed_rad)
+            rest = self._closing(model, held_a, deepest_rad, closed_rad)
             # Each servo drives with the same share of its own friction.
             own_n = balance_n + push_n * path.friction_n / friction_n
             current_a = abs(own_n) / path.n_per_a
             # In mode 5 the goal current is a magnitude: the side of the goal position is its sign.
             if own_n >= 0.0:
-                goal = self._closing(settings.servo_model, current_a, deepest_rad, closed_rad)
+                goal = self._closing(model, current_a, deepest_rad, closed_rad)
             else:
                 # Without a further goal the finger opens by no more than this.
-                lead_rad = running_lead_rad(settings.servo_model, current_a, 0.0)
-                lead_rad += settings.servo_model.rad_per_pulse
+                lead_rad = running_lead_rad(model, current_a, 0.0) + model.rad_per_pulse
+                widest_rad = min(self._contact_rad[index] + GIVE_RAD, stop_rad[index])
                 goal = ServoGoal(
-                    angle_rad=min(servo.angle_rad + lead_rad, contact_rad + GIVE_RAD, widest_rad),
+                    angle_rad=min(servo.angle_rad + lead_rad, widest_rad),
                     current_a=current_a,
                     setpoint_n=grip.setpoint_n,
                 )
@@ -152,12 +144,7 @@ class GripControl:
             mechanics=reached.mechanics,
             stiffness=reached.stiffness,
             touch_m=touch_m,
-            apertures=History(),
-            setpoint_n=force_n,
-            planned_n=force_n,
             force_n=force_n,
-            balance_n=force_n,
-            drive_n=force_n,
         )
         grip.apertures.add(moment.now_s, state.aperture_m)
         # A high load at the first touch: stiff, or no part at all.
@@ -180,7 +167,7 @@ class GripControl:
     def resume(self) -> None:
         """Begin again after a pause: samples from before it are discarded."""
         self.watch.resume()
-        self._law.resume()
+        self._law.observer.resume()
 
     def begin_again(self, state: ServoFeedback) -> None:
         """Begin the law at the present force and opening: others have moved the fingers."""

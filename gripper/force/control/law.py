@@ -34,7 +34,6 @@ from gripper.mechanics.transmission import Drives, Transmission, driving_n, mean
 from gripper.servos.goal_limits import MOST_STICTION, pressing_speed_m_s
 from gripper.servos.motion import UNSURE_COUNTS
 from gripper.values.force_sensor import FRAME_S, LOOK_BACK_S, QUIET_N, ForceSample
-from gripper.values.state import ServoFeedback
 
 _ACTS_S = 0.001 + CURRENT_S
 """Time in s from the feedback of a period until its goals act: the write and the current.
@@ -77,11 +76,6 @@ class Period:
     """Transmission of each servo, and half the width of the friction band in N."""
     may_open: bool
     """Whether the fingers may open farther."""
-
-    @property
-    def state(self) -> ServoFeedback:
-        """Feedback of the servos."""
-        return self.moment.state
 
 
 class ForcePlan:
@@ -214,10 +208,6 @@ class ForceLaw:
         self._jumped_s: float | None = None
         self._contradicted_s = 0.0
 
-    def resume(self) -> None:
-        """Begin again after a pause, in which the force may have changed."""
-        self.observer.resume()
-
     def step(self, period: Period) -> float:
         """Return the driving force in N of one period.
 
@@ -230,14 +220,18 @@ class ForceLaw:
         observer = self.observer
         self._advance_plan(period)
         grip.planned_n, grip.rate_n_s = self.plan.force_n, self.plan.rate_n_s
-        measured_n = driving_n(period.state, period.paths)
+        measured_n = driving_n(period.moment.state, period.paths)
         before_n = self._drives_n.newest if self._drives_n else measured_n
         self._drives_n.add(period.moment.now_s, measured_n)
         # A drive at its cap shows nothing of what is missing beyond it.
         observer.missing_n -= max(0.0, self._balance_n - grip.balance_n)
         if sample is not None and self._jumps(sample, period):
             sample = None
-        frictions_n = self._observe(period, sample, 0.5 * (before_n + measured_n))
+        if period.moment.dt_s > 0.0:
+            drive_n = 0.5 * (before_n + measured_n)
+            observer.predict(period.moment.dt_s, drive_n, self._frictions_n(period))
+        observer.measure(period.moment, sample)
+        frictions_n = self._frictions_n(period)
         self._check(period)
         # The new drive acts a little later; until then the last one does.
         speed_m_s = observer.speed_after_m_s(_ACTS_S, grip.drive_n, frictions_n)
@@ -253,16 +247,6 @@ class ForceLaw:
         else:
             push_n = self._moving_n(period, sample, error_n, speed_m_s, frictions_n)
         return grip.balance_n + push_n
-
-    def _observe(
-        self, period: Period, sample: ForceSample | None, drive_n: float
-    ) -> tuple[float, float]:
-        """Advance the observer, and return the friction in N of closing and opening fingers."""
-        observer, moment = self.observer, period.moment
-        if moment.dt_s > 0.0:
-            observer.predict(moment.dt_s, drive_n, self._frictions_n(period))
-        observer.measure(moment, sample)
-        return self._frictions_n(period)
 
     def _frictions_n(self, period: Period) -> tuple[float, float]:
         """Return the friction in N at the present speed, while the fingers close and open.
@@ -310,7 +294,7 @@ class ForceLaw:
         may_start = sample.measured_s > self._pushes.effect_s and (sign > 0.0 or period.may_open)
         if abs(error_n) <= least_n or not may_start or period.moment.dt_s <= 0.0:
             return 0.0
-        self._started_m = period.state.aperture_m
+        self._started_m = period.moment.state.aperture_m
         return self._pushes.push_n(self.observer, period.moment, frictions_n, sign)
 
     def _moving_n(
@@ -345,7 +329,7 @@ class ForceLaw:
 
         It does once the positions show it, or where pushes alone are too slow for the plan.
         """
-        way_m = abs(period.state.aperture_m - self._started_m)
+        way_m = abs(period.moment.state.aperture_m - self._started_m)
         if way_m > UNSURE_COUNTS * self._grip.stiffness.step_m:
             return True
         growth_n = self._pushes.growth_n
@@ -374,7 +358,7 @@ class ForceLaw:
         # and by the momentum of the fingers.
         friction_n = min(path.drive.least_breakaway_a * path.n_per_a for path in period.paths)
         drive_n = self._drives_n.most(since_s=sample.measured_s - FRAME_S - _SPEED_S)
-        speed_m_s = max(0.0, observer.speed_m_s, -0.5 * period.state.aperture_velocity_m_s)
+        speed_m_s = max(0.0, observer.speed_m_s, -0.5 * period.moment.state.aperture_velocity_m_s)
         least_n += 2.0 * max(0.0, drive_n - observer.force_n - friction_n)
         least_n += _impact(self._grip, period).momentum_n_s_m * speed_m_s
         if jump_n <= least_n:
@@ -409,4 +393,4 @@ class ForceLaw:
 
 def _impact(grip: Grip, period: Period) -> ImpactLimit:
     """Return the limit of closing fingers where they are now."""
-    return impact_limit(grip.mechanics, period.state.angles_rad)
+    return impact_limit(grip.mechanics, period.moment.state.angles_rad)

@@ -11,9 +11,8 @@ import numpy as np
 
 from gripper.dynamixel.drive import INERTIA_SD, SIGMAS, DriveCharacteristic
 from gripper.errors import ServoFault
-from gripper.force.loop import Action, LoopRunner, Moment
+from gripper.force.loop import Action, LoopRunner, Moment, Step
 from gripper.mechanics.identification import FreePoint, change, fit_friction, grown
-from gripper.mechanics.transmission import Mechanics
 from gripper.servos.motion import position_sd_rad, slow_rad_s
 from gripper.settings import ServoSettings
 from gripper.values.state import ServoFeedback, ServoState
@@ -37,7 +36,7 @@ _WORN = 5.0
 """Ratio of the friction to the catalogue's above which a servo is not sound. A servo without a
 load may have a tenth of the catalogue's, as an XL330's gearing (arXiv 2410.08650). [assumed]"""
 
-_FRICTION = (*("coulomb_a", "viscous_a_s", "offset_a", "breakaway_a", "friction_sd"),)
+_FRICTION = ("coulomb_a", "viscous_a_s", "offset_a", "breakaway_a", "friction_sd")
 """Fields of a drive characteristic that free motions measure."""
 
 
@@ -46,13 +45,14 @@ class FreeMotion:
 
     Parameters
     ----------
-    mechanics
-        Of the gripper.
+    runner
+        Runner of the motions.
     """
 
-    def __init__(self, mechanics: Mechanics) -> None:
-        self._settings = settings = mechanics.settings
-        self._drives = mechanics.drives
+    def __init__(self, runner: LoopRunner) -> None:
+        self._runner = runner
+        self._settings = settings = runner.servos.settings
+        self._drives = runner.servos.mechanics.drives
         self._points: dict[int, list[FreePoint]] = {}
         self._runs = {servo.servo_id: _Run(servo) for servo in settings.servos}
         self._priors: dict[int, DriveCharacteristic] = {}
@@ -73,12 +73,7 @@ class FreeMotion:
                 self._drives.put(servo.servo_id, drive.distrusted)
 
     def run(
-        self,
-        runner: LoopRunner,
-        step: Callable[[Moment], Action],
-        is_free: Callable[[ServoFeedback], bool],
-        *,
-        needs_force: bool = True,
+        self, step: Step, is_free: Callable[[ServoFeedback], bool], *, needs_force: bool = True
     ) -> ServoFeedback:
         """Run a motion of empty fingers and use its result; return the last feedback.
 
@@ -91,7 +86,7 @@ class FreeMotion:
             self._push(moment, free=is_free(moment.state))
             return step(moment)
 
-        state = runner.run(watched, needs_force=needs_force)
+        state = self._runner.run(watched, needs_force=needs_force)
         for servo, settings in zip(state.servos, self._settings.servos, strict=True):
             self._take(settings, servo, self._runs[servo.servo_id])
         self._start()
@@ -179,14 +174,6 @@ def _alike(point: FreePoint, other: FreePoint) -> bool:
     return 1.0 / _SAME_SPEED < point.speed_rad_s / other.speed_rad_s < _SAME_SPEED
 
 
-class _Period(NamedTuple):
-    """Feedback of one servo in one period."""
-
-    now_s: float
-    angle_rad: float
-    current_a: float
-
-
 class _Part(NamedTuple):
     """Means of a part of a motion."""
 
@@ -209,7 +196,8 @@ class _Run:
     def start(self) -> None:
         """Start another motion."""
         self._sign = 0.0
-        self._periods: deque[_Period] = deque()
+        self._periods: deque[tuple[float, ServoState]] = deque()
+        """Monotonic time in s and feedback of the servo in the last periods."""
 
     def goes_on(self, servo: ServoState) -> bool:
         """Return whether a servo moves in the direction of before."""
@@ -219,30 +207,30 @@ class _Run:
     def add(self, now_s: float, servo: ServoState) -> None:
         """Add one period."""
         self._sign = servo.velocity_rad_s
-        self._periods.append(_Period(now_s, servo.angle_rad, servo.current_a))
-        while self._periods[0].now_s < now_s - _WINDOW_S - _BEFORE_END_S:
+        self._periods.append((now_s, servo))
+        while self._periods[0][0] < now_s - _WINDOW_S - _BEFORE_END_S:
             self._periods.popleft()
 
-    def _inner(self) -> list[_Period]:
+    def _inner(self) -> list[tuple[float, ServoState]]:
         """Return the periods of free motion."""
         if not self._periods:
             return []
-        end_s = self._periods[-1].now_s - (_BEFORE_END_S if self._sign < 0.0 else 0.0)
-        return [period for period in self._periods if period.now_s <= end_s]
+        end_s = self._periods[-1][0] - (_BEFORE_END_S if self._sign < 0.0 else 0.0)
+        return [(t_s, servo) for t_s, servo in self._periods if t_s <= end_s]
 
     def lasts(self) -> bool:
         """Return whether the motion is long enough for a point."""
         return len(self._inner()) >= _LEAST_PERIODS
 
-    def _part(self, periods: Sequence[_Period]) -> "_Part":
+    def _part(self, periods: Sequence[tuple[float, ServoState]]) -> "_Part":
         """Return a part of the motion by a parabola through its positions (least squares)."""
-        t_s = np.array([period.now_s for period in periods])
+        t_s = np.array([now_s for now_s, _ in periods])
         t_s -= t_s.mean()
         whole = np.linalg.pinv(np.column_stack([np.ones(len(t_s)), t_s, 0.5 * t_s**2]))
-        _, speed_rad_s, acceleration_rad_s2 = whole @ [period.angle_rad for period in periods]
+        _, speed_rad_s, acceleration_rad_s2 = whole @ [servo.angle_rad for _, servo in periods]
         return _Part(
             speed_rad_s=float(speed_rad_s),
-            current_a=fmean(period.current_a for period in periods),
+            current_a=fmean(servo.current_a for _, servo in periods),
             acceleration_rad_s2=float(acceleration_rad_s2),
             acceleration_sd_rad_s2=position_sd_rad(self._model) * float(np.linalg.norm(whole[2])),
         )
@@ -262,7 +250,7 @@ class _Run:
             part.current_a - inertia_a_s2 * part.acceleration_rad_s2 for part in (whole, *halves)
         )
         # Currents of neighbouring periods have a common error.
-        spread_a = pstdev([period.current_a for period in inner]) / sqrt(len(inner) / 4.0)
+        spread_a = pstdev([servo.current_a for _, servo in inner]) / sqrt(len(inner) / 4.0)
         unlike_a = _EVEN_SHARE * abs(whole_a) + SIGMAS * hypot(
             2.0 * spread_a, *(inertia_a_s2 * part.acceleration_sd_rad_s2 for part in halves)
         )

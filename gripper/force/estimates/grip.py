@@ -1,7 +1,7 @@
 """State of one grip that control and supervision share, with the stiffness of its part."""
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import inf, sqrt
 
 from gripper.dynamixel.drive import SIGMAS
@@ -161,18 +161,21 @@ class Grip:
     touch_m: float
     """Opening in m at which both pads were first loaded: the fingers are not driven open beyond it,
     however much force the pads report."""
-    apertures: History
+    apertures: History = field(default_factory=History)
     """Opening of the last periods in m."""
-    setpoint_n: float
+    force_n: float
+    balance_n: float = field(init=False)
+    """Estimated grip force in N, and the drive in N that balances it without friction."""
+    setpoint_n: float = field(init=False)
     """Set-point of the grip force in N in the last period."""
-    planned_n: float
+    planned_n: float = field(init=False)
     rate_n_s: float = 0.0
     """Commanded force in N now, on the way to the set-point, and its rate in N/s."""
-    force_n: float
-    balance_n: float
-    """Estimated grip force in N, and the drive in N that balances it without friction."""
-    drive_n: float
+    drive_n: float = field(init=False)
     """Driving force of the last period in N. It opens below 0."""
+
+    def __post_init__(self) -> None:
+        self.setpoint_n = self.planned_n = self.balance_n = self.drive_n = self.force_n
 
     @property
     def settings(self) -> GripperSettings:

@@ -3,7 +3,6 @@
 from gripper.errors import GripContradicted
 from gripper.force.approach.approach import Approach, ApproachEvent
 from gripper.force.certainty import PRESENT_SHARE, RUN_STEPS, STALLED_S
-from gripper.force.estimates.grip import SOFTEST_N_M
 from gripper.force.loop import Action, Moment
 from gripper.force.supervision.part_watch import ADVICE, BREAKAWAY_SHARE, FrameMean
 from gripper.mechanics.transmission import Mechanics
@@ -32,32 +31,25 @@ class EmptyGrip:
     state
         Feedback at the end of the grasp.
     stiffness_n_m
-        Stiffness of the part in N/m; None if not known.
-    approached
-        Whether an approach has just ended, so that nothing yields to its current; the current may
-        then grow while the fingers stand.
+        Stiffness in N/m of the part that may yield to the current of an approach. None where an
+        approach has just ended, so that nothing yields; the current may then grow while the fingers
+        stand.
     ran
         Whether the fingers have already closed, unlike on any part.
     """
 
     def __init__(
-        self,
-        mechanics: Mechanics,
-        state: ServoFeedback,
-        *,
-        stiffness_n_m: float | None,
-        approached: bool,
-        ran: bool,
+        self, mechanics: Mechanics, state: ServoFeedback, *, stiffness_n_m: float | None, ran: bool
     ) -> None:
-        paths = mechanics.transmissions(state.angles_rad)
-        friction_n = max(path.friction_n for path in paths)
         self._settings = settings = mechanics.settings
-        self._approach = Approach(mechanics, state, may_boost=approached)
+        self._approach = Approach(mechanics, state, may_boost=stiffness_n_m is None)
         self._step_m = self._approach.stiffness.step_m
         self._run_m = RUN_STEPS * self._step_m
-        if not approached:
+        if stiffness_n_m is not None:
+            paths = mechanics.transmissions(state.angles_rad)
+            friction_n = max(path.friction_n for path in paths)
             pressed_n = settings.approach_force_n + BREAKAWAY_SHARE * friction_n
-            self._run_m += pressed_n / (stiffness_n_m or SOFTEST_N_M)
+            self._run_m += pressed_n / stiffness_n_m
         self._loaded_n = PRESENT_SHARE * settings.contact_force_n
         self._begun_m = state.aperture_m
         self._late_s = state.t_s + self._run_m / settings.approach_speed_m_s + STALLED_S

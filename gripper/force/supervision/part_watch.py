@@ -23,7 +23,7 @@ from gripper.force.estimates.grip import KNOWN_N, SOFTEST_N_M, Grip
 from gripper.force.loop import Moment
 from gripper.mechanics.transmission import driving_n, mean_friction_n
 from gripper.settings import GripperSettings
-from gripper.values.force_sensor import LOOK_BACK_S, ONE_FRAME_S, ForceSample, RecentForce
+from gripper.values.force_sensor import LOOK_BACK_S, ForceSample, RecentForce
 from gripper.values.state import ServoFeedback
 
 _RUN_M_S = 0.008
@@ -93,11 +93,6 @@ class PadSamples:
         return max(self.recent.finger_means_n) < self.empty_n
 
     @property
-    def newest_text(self) -> str:
-        """Force of the newest sample on both fingers as text."""
-        return "{:.2f} and {:.2f} N".format(*self.recent.newest.force_n)
-
-    @property
     def before_n(self) -> float:
         """Largest grip force in N of the look-back window, a mean of enough samples."""
         return max((force_n for _, force_n in self._before_n), default=0.0)
@@ -111,7 +106,7 @@ class PadSamples:
         if much_n <= _SUDDEN_RATIO * self.empty_n:
             return False
         newest_noise_n = (PRESENT_SHARE * much_n - self.empty_n) / SURE_SDS / _PAD_NOISE
-        newest = RecentForce(max(0.0, newest_noise_n), least=1, longest_s=ONE_FRAME_S)
+        newest = RecentForce(max(0.0, newest_noise_n), one_frame=True)
         for sample in reversed(list(self.recent)):
             newest.push(sample)
         pad_noise_n = _PAD_NOISE * newest.noise_n
@@ -275,7 +270,8 @@ class PartWatch:
         if not (empty or sudden):
             self._suspicion = None
         elif sudden or suspicion.empty_s > BRIEF_S:
-            suspicion.acts_s, suspicion.fell_to = moment.now_s, pads.newest_text
+            suspicion.acts_s = moment.now_s
+            suspicion.fell_to = "{:.2f} and {:.2f} N".format(*pads.recent.newest.force_n)
 
     def _confirmed(self, moment: Moment, stiffness_n_m: float | None) -> bool:
         """Return whether another measurement confirms the loss; else may raise GripContradicted.

@@ -11,7 +11,7 @@ from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.models import MODELS, XM430_W350
 from gripper.errors import LimitExceeded, ServoRejected
 from gripper.servos.verification import requirements
-from gripper.values.servo_checks import hardware_error_names
+from gripper.values.servo_checks import hardware_errors_text
 from simulator.servo import rh_p12
 from simulator.servo.control_table import ServoRegisters
 
@@ -50,8 +50,8 @@ def test_blocks_must_be_contiguous() -> None:
 
 
 def test_hardware_error_bits_have_names() -> None:
-    assert hardware_error_names(0x25) == ("input voltage", "overheating", "overload")
-    assert hardware_error_names(0x1A) == ("undefined bit 1", "encoder", "electrical shock")
+    assert hardware_errors_text(0x25) == "input voltage, overheating, overload"
+    assert hardware_errors_text(0x1A) == "undefined bit 1, encoder, electrical shock"
 
 
 # -- The RH-P12-RN(A): addresses by the model ------------------------------------------------------

@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 from gripper.force.control.law import Period
-from gripper.force.estimates.grip import Grip, History, StiffnessEstimate
+from gripper.force.estimates.grip import Grip, StiffnessEstimate
 from gripper.force.loop import Moment
 from gripper.mechanics.kinematics import ParallelLinkage
 from gripper.mechanics.transmission import Mechanics
@@ -25,21 +25,12 @@ STIFFNESS_N_M = 1e4
 
 def make_grip(force_n: float = 1.0, touch_m: float | None = None) -> Grip:
     mechanics = Mechanics(GripperSettings(), LINKAGE)
-    apertures = History()
-    apertures.add(0.0, STATE.aperture_m)
     stiffness = StiffnessEstimate(mechanics)
     stiffness.bounds_n_m = 0.25 * STIFFNESS_N_M, STIFFNESS_N_M
-    return Grip(
-        mechanics=mechanics,
-        stiffness=stiffness,
-        touch_m=touch_m or STATE.aperture_m + 2.0 * force_n / STIFFNESS_N_M,
-        apertures=apertures,
-        setpoint_n=force_n,
-        planned_n=force_n,
-        force_n=force_n,
-        balance_n=force_n,
-        drive_n=force_n,
-    )
+    touch_m = touch_m or STATE.aperture_m + 2.0 * force_n / STIFFNESS_N_M
+    grip = Grip(mechanics=mechanics, stiffness=stiffness, touch_m=touch_m, force_n=force_n)
+    grip.apertures.add(0.0, STATE.aperture_m)
+    return grip
 
 
 def make_period(

@@ -42,8 +42,8 @@ def test_torque_follows_from_virtual_work(linkage: Linkage, aperture_m: float) -
 
 def test_figures_of_current_and_force() -> None:
     path = Transmission(DriveCharacteristic.catalogue(XM430_W350), 0.06)
-    assert path.force_band_n(0.3)[0] == pytest.approx(7.5, abs=0.06)
-    assert path.force_band_n(1.0)[0] == pytest.approx(28.5, abs=0.06)
+    assert path.loaded_n(0.3) == pytest.approx(7.5, abs=0.06)
+    assert path.loaded_n(1.0) == pytest.approx(28.5, abs=0.06)
     assert path.friction_n == pytest.approx(0.09 / 0.06)
     assert path.loading_current_a(10.0) == pytest.approx((10 * 0.06 + 0.09) / 1.80)
 
@@ -60,13 +60,14 @@ def test_a_force_falls_at_one_drive_and_is_0_at_the_friction(force_n: float, sha
         yielding_share=share,
     )
     path = Transmission(drive, 0.05)
-    assert path.force_band_n(path.loading_current_a(force_n))[0] == pytest.approx(force_n, abs=1e-9)
-    assert path.held_n(path.yielding_n(force_n)) == pytest.approx(force_n, abs=1e-9)
-    assert path.yielding_n(0.0) == pytest.approx(-path.friction_n)
+    assert path.loaded_n(path.loading_current_a(force_n)) == pytest.approx(force_n, abs=1e-9)
     held_n = share * 0.1 / (0.3 * 0.05)
-    assert path.force_band_n(0.0)[1] == pytest.approx(held_n), "the gearing alone"
+    for part in (0.0, 0.3, 1.0):
+        drive_n = -(1.0 - part) * path.friction_n
+        assert path.yielding_n(part * held_n) == pytest.approx(drive_n), "held by the gearing alone"
     falls_a = 0.3 * 0.05 * (held_n + force_n) - share * 0.1
-    assert path.force_band_n(falls_a)[1] == pytest.approx(held_n + force_n)
+    falls_n = falls_a * path.n_per_a
+    assert path.yielding_n(held_n + force_n) == pytest.approx(falls_n, abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ from gripper.values.state import Cycle
 )
 def test_goal_currents_and_the_currents_of_the_winding(model, goal_raw, phase_a) -> None:
     assert model.winding_a(goal_raw) == pytest.approx(phase_a, abs=0.005)
-    assert model.current_raw(model.winding_a(goal_raw)) == goal_raw
+    assert round(model.current_counts(model.winding_a(goal_raw))) == goal_raw
 
 
 def duty_of(goal_a: float, supply_v: float, ohm: float, back_v: float = 0.0) -> float:
@@ -51,7 +51,7 @@ def test_a_motion_never_makes_more_current_than_asked() -> None:
     for _ in range(300):
         asked_a, speed_rad_s = draw.uniform(0.05, 1.2), draw.uniform(-1.5, 1.5)
         back_v = model.back_emf_v_s * speed_rad_s
-        raw = model.current_raw(asked_a, 5.0, max(0.0, -speed_rad_s))
+        raw = round(model.current_counts(asked_a, 5.0, max(0.0, -speed_rad_s)))
         duty = duty_of(1e-3 * raw, 5.0, model.winding_ohm, back_v)
         # Half a count, and the current that a short circuit brakes with.
         root_v = sqrt(back_v**2 + 4.0 * 5.0 * model.winding_ohm * 1e-3 * raw)
@@ -84,7 +84,7 @@ def test_no_servo_of_the_logs_presses_above_the_cap_before_pads_show_it(cap_n: f
         for _ in range(draw.choice((1, 20, 40))):
             supply_v = supply.steady_v(draw.gauss(true_v, 0.6), under_torque=True)
         current_a = min(path.pressing_current_a(cap_n), model.stall_current_a)
-        goal_a = 1e-3 * model.current_raw(current_a, supply_v)
+        goal_a = 1e-3 * round(model.current_counts(current_a, supply_v))
         ohm = model.winding_ohm * draw.uniform(0.83, 1.2)
         motor_v = min(1.0, duty_of(goal_a, true_v, ohm)) * true_v
         torque_nm = (motor_v - draw.uniform(0.1, 0.3)) / draw.uniform(13.0, 17.0)

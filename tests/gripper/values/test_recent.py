@@ -12,7 +12,7 @@ def sample(t_s: float, force_n: float = 1.0, noise_n: float = 0.3) -> ForceSampl
 
 
 def test_a_slow_sensor_gives_its_last_few_samples() -> None:
-    recent = RecentForce(0.08, least=3, longest_s=0.05)
+    recent = RecentForce(0.08)
     for i in range(10):
         recent.push(sample(0.02 * i, float(i)))
     assert [one.force_n[1] for one in recent] == [9.5, 8.5, 7.5]
@@ -22,21 +22,21 @@ def test_a_slow_sensor_gives_its_last_few_samples() -> None:
 
 @pytest.mark.parametrize(("noise_n", "n"), [(0.05, 1), (0.16, 4), (0.24, 9), (5.0, 11)])
 def test_a_fast_sensor_gives_as_many_as_its_noise_asks_for(noise_n, n) -> None:
-    recent = RecentForce(0.08, least=3, longest_s=0.0501)
+    recent = RecentForce(0.08)
     for i in range(40):
-        recent.push(sample(0.005 * i, noise_n=noise_n))
+        recent.push(sample(0.00499 * i, noise_n=noise_n))
     assert len(recent) == n
     assert recent.noise_n <= 0.08 or n == 11
 
 
 def test_the_same_sample_again_is_none_and_what_it_replaces_is_returned() -> None:
-    recent = RecentForce(0.08, least=1, longest_s=0.05)
+    recent = RecentForce(0.08, one_frame=True)
     assert recent.push(sample(0.0)) == []
     assert recent.push(sample(0.0)) is None
-    assert recent.push(sample(0.02)) == []
-    assert recent.push(sample(0.06)) == [sample(0.0)]
-    assert recent.push(sample(0.08, noise_n=0.01)) == [sample(0.02), sample(0.06)]
-    assert (recent.oldest, recent.newest) == (sample(0.08, noise_n=0.01),) * 2
+    assert recent.push(sample(0.01)) == []
+    assert recent.push(sample(0.02)) == [sample(0.0)]
+    assert recent.push(sample(0.03, noise_n=0.01)) == [sample(0.01), sample(0.02)]
+    assert (recent.oldest, recent.newest) == (sample(0.03, noise_n=0.01),) * 2
 
 
 @pytest.mark.parametrize(

@@ -267,7 +267,7 @@ MECHANICS = Mechanics(GripperSettings(), LINKAGE)
 
 def periods(*samples_n: float, frame_n: float | None = 0.0) -> list[bool]:
     """Return whether each period confirmed an empty grip, with a sample in each; all 0 N later."""
-    empty = EmptyGrip(MECHANICS, STATE, stiffness_n_m=None, approached=True, ran=True)
+    empty = EmptyGrip(MECHANICS, STATE, stiffness_n_m=None, ran=True)
     done: list[bool] = []
     for i in range(1, 20):
         t_s = STATE.t_s + PERIOD_S * i
