@@ -1,6 +1,7 @@
 """Motions of fingers that hold nothing: they stand still, and they move to an opening."""
 
 from math import inf
+from operator import gt
 
 from gripper import errors
 from gripper.force.approach.mechanics_proof import mechanics_text
@@ -134,6 +135,7 @@ class MoveTo:
             )
         ]
         self._begun_s = state.t_s
+        self._ran_s = state.t_s if not self._opening and self._runs(state) else -inf
         self._deadline_s = state.t_s + _PATIENCE_S
         self._set_currents(mechanics.transmissions(state.angles_rad))
 
@@ -169,6 +171,11 @@ class MoveTo:
                 f"together. They stand still; take the part out by hand, then check "
                 f"{mechanics_text(self._mechanics)}"
             )
+        if moment.now_s < min(self._ran_s + BRIEF_S, self._deadline_s):
+            # The small current of a closing motion hardly brakes fingers that still run open.
+            if self._runs(moment.state):
+                self._ran_s = moment.now_s
+            return Action()
         self._look(moment)
         passed_s = moment.now_s - self._begun_s
         # If the fingers close instead, the pads show it before the current is whole.
@@ -195,6 +202,11 @@ class MoveTo:
                 opens=self._opening,
             )
         return Action(goals=goals, done=arrived)
+
+    def _runs(self, state: ServoFeedback) -> bool:
+        models = (servo.servo_model for servo in self._settings.servos)
+        speeds_rad_s = (abs(servo.velocity_rad_s) for servo in state.servos)
+        return any(map(gt, speeds_rad_s, map(slow_rad_s, models)))
 
     def _look(self, moment: Moment) -> None:
         """Use the newest friction of each finger, and extend the time of fingers that run."""

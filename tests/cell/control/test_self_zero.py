@@ -13,7 +13,7 @@ import pytest
 
 from cell.commissioning.doctor import examine
 from cell.commissioning.findings import Verdict
-from cell.config.file import changed_config, config_text, parse_config
+from cell.config.file import changed_config, config_text, load_config, parse_config
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState
@@ -117,6 +117,17 @@ def test_it_is_measured_on_other_hands_below_the_cap(make_bench, hand: dict[str,
     assert bench.life.state is CellState.IDLE
     assert bench.controller.zeros.newest.opening_m * 1e3 == pytest.approx(0.0, abs=0.3)
     assert max(pressed_n) < 12.5
+
+
+@pytest.mark.parametrize("seed", [2008, 9])
+def test_fingers_of_a_small_pinion_meet_softly_and_do_not_run_open_too_far(
+    make_bench, seed
+) -> None:
+    """A release ends while they run, and the next motion has little current to brake them."""
+    config = load_config(Path(__file__).parents[3] / "config/open-parallel-gripper.yaml")
+    bench = make_bench(changed_config(config, {"seed": seed}))
+    zero = bench.start().controller.zeroing.measure().zero
+    assert zero.opening_m * 1e3 == pytest.approx(0.0, abs=0.1)
 
 
 @pytest.mark.parametrize(
