@@ -16,9 +16,9 @@ from tactile.source import (
     COUNTER_MASK,
     Arrivals,
     FrameStatistics,
-    FrameStatus,
     LatchingSource,
     PadZero,
+    ScanStatus,
     SourceIdentity,
     SourceStatistics,
     TactileFrame,
@@ -116,7 +116,6 @@ class PolledBoards(LatchingSource, ABC, Generic[_Board]):
         Limits for a fault: silence in s, share of damaged frames and time of the start in s.
     """
 
-    sends_forces = False
     silent_periods = 8.0
     """Least silence without a new frame that is a fault, in periods. [chosen]"""
     unit = "new frame"
@@ -247,7 +246,7 @@ class PolledBoards(LatchingSource, ABC, Generic[_Board]):
         counts, extra = whole[:, 0].copy(), whole[:, 1:]
         counts.setflags(write=False)
         self._counts.frames.complete += 1
-        full = FrameStatus.SATURATED if counts.max() >= self.layout.adc_max else 0
+        full = ScanStatus.SATURATED if counts.max() >= self.layout.adc_max else 0
         return TactileFrame(
             t_s=max(ends_s),
             begun_s=min(begun_s),

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from tactile.errors import FrameError, LayoutError
 from tactile.layout import TaxelLayout
-from tactile.source import COUNTER_MASK, ForceMessage, ForceStatus, FrameStatistics, TactileFrame
+from tactile.source import COUNTER_MASK, ForceMessage, FrameStatistics, ScanStatus, TactileFrame
 
 MESSAGE_BYTES = 8
 """Data bytes of every message: all that a classic CAN message has."""
@@ -78,20 +78,18 @@ class FrameFormat:
         return cls(n_taxels=layout.n_taxels, sample_bytes=layout.sample_bits // 8)
 
     @property
-    def samples_bytes(self) -> int:
-        """Bytes of all samples of a frame."""
-        return self.n_taxels * self.sample_bytes
+    def _content_bytes(self) -> int:
+        return self.n_taxels * self.sample_bytes + _TRAILER.size
 
     @property
     def header_bytes(self) -> int:
         """Bytes of the header of each message: 1 or 2."""
-        content = self.samples_bytes + _TRAILER.size
-        return 1 if content <= _SHORT_INDEX_LIMIT * (MESSAGE_BYTES - 1) else 2
+        return 1 if self._content_bytes <= _SHORT_INDEX_LIMIT * (MESSAGE_BYTES - 1) else 2
 
     @property
     def n_messages(self) -> int:
         """Messages of one frame."""
-        return -(-(self.samples_bytes + _TRAILER.size) // (MESSAGE_BYTES - self.header_bytes))
+        return -(-self._content_bytes // (MESSAGE_BYTES - self.header_bytes))
 
 
 def crc16_ccitt(data: bytes) -> int:
@@ -246,7 +244,7 @@ def decode_force_message(data: bytes | bytearray, t_s: float) -> ForceMessage | 
     return ForceMessage(
         t_s=t_s,
         counter=head % COUNTERS,
-        status=ForceStatus(head >> _STATUS_SHIFT),
+        status=ScanStatus(head >> _STATUS_SHIFT),
         force_n=(first * FORCE_N, second * FORCE_N),
         centre_taxels=None
         if along == _NO_CENTRE

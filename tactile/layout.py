@@ -270,14 +270,12 @@ def _layout_hash(layout: TaxelLayout) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-FINGER_LENGTH_M = 0.055
-FINGER_WIDTH_M = 0.020
-FINGER_THICKNESS_M = 0.012
-"""The paper, section 2: a finger of 55 x 20 x 12 mm."""
+FINGER_M = (0.055, 0.020, 0.012)
+"""Length, width and thickness of a finger (the paper, section 2: 55 x 20 x 12 mm)."""
 
 
 def _finger_pads(finger: int) -> tuple[Pad, ...]:
-    length, width, thickness = FINGER_LENGTH_M, FINGER_WIDTH_M, FINGER_THICKNESS_M
+    length, width, thickness = FINGER_M
     mid_z = -0.5 * thickness
     x, y, z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     minus_y, minus_z = (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)

@@ -20,15 +20,18 @@ COUNTER_MASK = 0xFFFF
 """The counter of a frame has 16 bits."""
 
 
-class FrameStatus(IntFlag):
-    """Status bits of a frame."""
+class ScanStatus(IntFlag):
+    """Status bits of a frame or a force message."""
 
-    SATURATED = 0x02
-    """At least one sample is at full scale."""
-    CONVERTER_FAULT = 0x04
-    """The converter or multiplexer failed its self-test: the samples are void."""
-    OVERRUN = 0x08
-    """The previous frame was not sent in time."""
+    ZEROED = 0x1
+    """Table and zero are set: the values of a force message are forces."""
+    SATURATED = 0x2
+    """A taxel is at full scale; in a force message one of a gripping pad: its force may be larger.
+    """
+    CONVERTER_FAULT = 0x4
+    """The converter or multiplexer failed its self-test: samples and forces are void."""
+    OVERRUN = 0x8
+    """The previous frame was not sent in time, or the previous scan was left out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,7 +43,7 @@ class TactileFrame:
     counter: int
     """Number of the scan, modulo 65536. A source without a counter numbers its frames itself."""
     status: int
-    """`FrameStatus` bits; 0 from a source without a status."""
+    """`ScanStatus` bits; 0 from a source without a status."""
     counts: NDArray[np.uint16]
     """(n_taxels,) uint16: samples in the order of the layout."""
     extra: NDArray[np.uint16] | None = None
@@ -56,19 +59,6 @@ class TactileFrame:
         return self.t_s if self.begun_s is None else self.begun_s
 
 
-class ForceStatus(IntFlag):
-    """Status bits of a force message."""
-
-    ZEROED = 0x1
-    """Table and zero are set: the values are forces."""
-    SATURATED = 0x2
-    """A taxel of a gripping pad is at full scale: the force may be larger."""
-    CONVERTER_FAULT = 0x4
-    """The converter or multiplexer failed its self-test: the forces are void."""
-    OVERRUN = 0x8
-    """The previous scan was not finished in time and was left out."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceMessage:
     """Force on both gripping pads in one scan, summed by the source."""
@@ -77,7 +67,7 @@ class ForceMessage:
     """Monotonic time of reception in s."""
     counter: int
     """Number of the message modulo 16."""
-    status: ForceStatus
+    status: ScanStatus
     """Status bits."""
     force_n: tuple[float, float]
     """Force on the pad of finger 0 and of finger 1 in N."""
@@ -132,12 +122,14 @@ class SourceIdentity:
     """Identity of the device that answers. A device without a number has 0 there."""
 
     name: str = ""
-    serial: int = 0
+    vendor_id: int = 0
+    product_code: int = 0
     revision: int = 0
+    serial: int = 0
     boards: tuple[int, int] = (0, 0)
     """Serial numbers of the pads' boards on finger 0 and finger 1."""
     sends_forces: bool = False
-    """Whether it sends force messages."""
+    """Whether the device was set up to send force messages."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -233,10 +225,6 @@ class FrameSource(Protocol):
     @property
     def layout(self) -> TaxelLayout:
         """The taxels, in the order of the counts."""
-
-    @property
-    def sends_forces(self) -> bool:
-        """Whether the device was set up to send force messages."""
 
     @property
     def statistics(self) -> SourceStatistics:

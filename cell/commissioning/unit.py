@@ -28,12 +28,13 @@ from tactile.control_unit.object_dictionary import (
     VENDOR_ID,
 )
 from tactile.control_unit.search import BusTraffic, listen, objects_of, scan_nodes
-from tactile.control_unit.settings import LinkSettings, NodeIdentity, least_sync_period_s
+from tactile.control_unit.settings import LinkSettings, least_sync_period_s
 from tactile.control_unit.setup import identity_checks, read_identity, refuse_mismatch, written
 from tactile.errors import BusNotOpened, TactileError
 from tactile.layout import LAYOUTS, TaxelLayout
 from tactile.sensor.opening import open_sensor
 from tactile.sensor.sensor import TactileSensor
+from tactile.source import SourceIdentity
 
 TRIED_BIT_RATES: tuple[int, ...] = tuple(
     sorted(get_args(TactileConfig.model_fields["bitrate"].annotation), reverse=True)
@@ -284,7 +285,7 @@ def _node(bus: CanBus, traffic: BusTraffic, dialog: Dialog, notes: Notes) -> int
     return int(dialog.choose("unit.node", text, choices, str(units[0])))
 
 
-def _judge_identity(objects: PolledSdoClient, node_id: int, notes: Notes) -> NodeIdentity:
+def _judge_identity(objects: PolledSdoClient, node_id: int, notes: Notes) -> SourceIdentity:
     """Return the identity of a unit; one of another EDS is refused."""
     identity = read_identity(objects)
     notes.fact(

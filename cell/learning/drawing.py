@@ -38,6 +38,8 @@ _N_DEPTHS = 48
 _SLOW_WAY_M = 2e-3
 """Distance in m before the touch of the widest part in which fast fingers slow down: 0.5 mm margin
 and 1.5 mm for mass and servo."""
+_IMPACT_N = 0.3
+"""Largest grip force in N above that of a contact with which the ramp begins."""
 _SLOW_S = 0.5
 """Time constant of the foam's creep in s."""
 
@@ -102,36 +104,12 @@ def pressed_pad(bed: PadBed, reach_m: NDArray[np.float64], foam: FoamModel) -> P
     )
 
 
-def shared_force(
-    presses: Sequence[PressedPad], depth_sum_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the force in N at a total depth of both pads: the object floats."""
-    force_n = np.linspace(0.0, min(float(p.force_n[-1]) for p in presses), 4 * _N_DEPTHS)
-    together_m = sum(np.interp(force_n, p.force_n, p.depth_m) for p in presses)
-    shared_n: NDArray[np.float64] = np.interp(depth_sum_m, np.asarray(together_m), force_n)
-    return shared_n
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Course:
-    """Motion and sensor of a cell, with their uncertainties; some values come from the config."""
+    """Course of a virtual grasp: the uncertainties of its motion, foam and sensor."""
 
-    period_s: float
-    """Time between two frames in s."""
-    aperture_open_m: float
-    aperture_min_m: float
-    """Opening in m at the start, and at the end without a touch."""
-    approach_speed_m_s: float
-    travel_speed_m_s: float
-    """Closing speed of the opening in m/s, near a possible part and before it."""
-    aperture_step_m: float
-    """Smallest step of the measured opening in m."""
     aperture_sd_m: float = 0.2e-3
     """Standard deviation in m of the measured opening, the same over one grasp."""
-    contact_n: float
-    """Force on each pad in N that counts as contact."""
-    impact_n: tuple[float, float]
-    """(low, high): grip force in N with which the ramp begins."""
     slip_n: float = 0.1
     """Largest lag in N behind the set-point before the fingers move on."""
     force_sd: float = 0.02
@@ -159,12 +137,17 @@ class Course:
     """Largest difference in N between the forces on both pads: the object is held a little."""
 
 
+_USUAL = Course()
+
+
 class VirtualPads:
     """The two gripping pads of a cell and their foam; draws grasps with a course."""
 
     def __init__(self, config: CellConfig, course: Course) -> None:
         layout = layout_from_config(config.tactile)
         self.pads, self.foam, self.course = pad_array(layout), usual_foam(config), course
+        self._gripper, self._period_s = config.gripper_settings, config.tactile.frame_period_s
+        self._step_m = max(config.mechanics.opening_steps_m())
         self._noise = converter_noise(config)
         # The spread is drawn from few values: their matrices are computed once.
         shares = np.exp(self.course.spread_sd * np.array([-1.2, -0.4, 0.4, 1.2]))
@@ -178,17 +161,18 @@ class VirtualPads:
 
         Raises ValueError for the thinnest pose, or if the object lies beside a pad.
         """
-        beds, course = self._beds[len(self._beds) // 2], self.course
+        beds, gripper = self._beds[len(self._beds) // 2], self._gripper
         reached = [(reaches_m(drawing, step.pose, beds), step.pose) for step in steps]
         reach_m, pose = min(reached, key=lambda pair: sum(float(r.max()) for r in pair[0]))
         presses = [pressed_pad(bed, r, self.foam) for bed, r in zip(beds, reach_m, strict=True)]
         touch_m = sum(press.reach_max_m for press in presses)
-        sinks_m = sum(np.interp(course.contact_n, p.force_n, p.depth_m) for p in presses)
-        if touch_m - sinks_m <= course.aperture_min_m:
+        contact_n = gripper.contact_force_n
+        sinks_m = sum(np.interp(contact_n, p.force_n, p.depth_m) for p in presses)
+        if touch_m - sinks_m <= gripper.aperture_min_m:
             raise ValueError(
                 f"the object is {1e3 * touch_m:.3g} mm thick at {pose}. It sinks into the foam: "
-                f"the fingers are closed, at {1e3 * course.aperture_min_m:g} mm "
-                f"(gripper.aperture_min_mm), before they measure {course.contact_n:g} N "
+                f"the fingers are closed, at {1e3 * gripper.aperture_min_m:g} mm "
+                f"(gripper.aperture_min_mm), before they measure {contact_n:g} N "
                 f"(gripper.contact_force_n). Check the unit of the drawing, or turn the object"
             )
 
@@ -208,20 +192,20 @@ class VirtualPads:
         The roll of the pose settles on the nearest side that the object rests on. Raises ValueError
         if the object lies beside a pad, or does not fit into the open gripper.
         """
-        course = self.course
+        open_m = self._gripper.aperture_open_m
         foam = self._drawn_foam(rng)
         beds = self._beds[int(rng.integers(len(self._beds)))]
-        aslant = rng.normal(0.0, course.tilt_rad, 2).tolist()
+        aslant = rng.normal(0.0, self.course.tilt_rad, 2).tolist()
         presses = [
             pressed_pad(bed, reach_m, foam)
             for bed, reach_m in zip(beds, reaches_m(drawing, step.pose, beds, aslant), strict=True)
         ]
         upright = reaches_m(drawing, step.pose, beds)
         touch_m = sum(p.reach_max_m for p in presses)
-        if touch_m >= course.aperture_open_m:
+        if touch_m >= open_m:
             raise ValueError(
                 f"the object is {1e3 * touch_m:.6g} mm thick at {step.pose}, and the gripper opens "
-                f"to {1e3 * course.aperture_open_m:g} mm (gripper.aperture_open_mm). Check the "
+                f"to {1e3 * open_m:g} mm (gripper.aperture_open_mm). Check the "
                 f"unit of the drawing, open wider, or turn the object"
             )
         force_n, setpoint_n, closing_m = self._motion(ramp, touch_m, presses, rng)
@@ -231,8 +215,8 @@ class VirtualPads:
         return Grasp(
             pads=self.pads,
             counts=np.clip(counts, 0.0, self.pads.adc_max),
-            t_s=np.arange(len(force_n), dtype=np.float64) * course.period_s,
-            aperture_m=_measured(aperture_m, course, rng),
+            t_s=np.arange(len(force_n), dtype=np.float64) * self._period_s,
+            aperture_m=self._measured(aperture_m, rng),
             force_n=setpoint_n,
             label=label,
             shape=shape,
@@ -265,13 +249,14 @@ class VirtualPads:
 
         The closing comes first, then the ramp: m is less than n.
         """
-        course = self.course
         closed_m, impact_n = self._approach(touch_m, presses, rng)
-        force_n, setpoint_n = _force_course(ramp, impact_n, course, rng)
-        closing_m = np.maximum(course.aperture_open_m - closed_m, 0.0)
-        closing_n = shared_force(presses, np.maximum(touch_m - closing_m, 0.0))
-        largest_n = min(float(p.force_n[-1]) for p in presses)
-        force_n = np.minimum(np.concatenate([closing_n, force_n]), _LARGEST_SHARE * largest_n)
+        force_n, setpoint_n = self._force_course(ramp, impact_n, rng)
+        closing_m = np.maximum(self._gripper.aperture_open_m - closed_m, 0.0)
+        # The object floats: both pads carry the same force.
+        shared_n = np.linspace(0.0, min(float(p.force_n[-1]) for p in presses), 4 * _N_DEPTHS)
+        depth_sum_m = np.sum([np.interp(shared_n, p.force_n, p.depth_m) for p in presses], axis=0)
+        closing_n = np.interp(np.maximum(touch_m - closing_m, 0.0), depth_sum_m, shared_n)
+        force_n = np.minimum(np.concatenate([closing_n, force_n]), _LARGEST_SHARE * shared_n[-1])
         return force_n, np.concatenate([np.zeros(len(closed_m)), setpoint_n]), closing_m
 
     def _counts(
@@ -287,7 +272,7 @@ class VirtualPads:
         of_sensor = rng.spawn(1)[0]
         bend = of_sensor.lognormal(0.0, course.bend_sd)
         lag = course.lag * of_sensor.uniform()
-        creep = -math.expm1(-1.0 / (_SLOW_S / course.period_s))
+        creep = -math.expm1(-1.0 / (_SLOW_S / self._period_s))
         shape = len(force_n), self.pads.n_taxels
         noise = self._noise(rng, math.prod(shape)).reshape(shape)
         counts = of_sensor.lognormal(0.0, course.noise_sd) * noise
@@ -307,54 +292,54 @@ class VirtualPads:
         return counts, depth_sum_m
 
     def _approach(
-        self, touch_m: float, presses: Sequence["PressedPad"], rng: np.random.Generator
+        self, touch_m: float, presses: Sequence[PressedPad], rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], float]:
         """Return the closing travel in m of each period, and the final force in N."""
-        course = self.course
-        impact_n = rng.uniform(*course.impact_n)
+        gripper, period_s = self._gripper, self._period_s
+        # What stops a finger is a contact from half of that force on.
+        contact_n = gripper.contact_force_n
+        impact_n = rng.uniform(0.5 * contact_n, contact_n + _IMPACT_N)
         depth_m = sum(float(np.interp(impact_n, p.force_n, p.depth_m)) for p in presses)
-        way_m = course.aperture_open_m - touch_m + depth_m
+        way_m = gripper.aperture_open_m - touch_m + depth_m
         wait_s = rng.uniform(0.01, 0.04)
         # Other parts begin wider: the fingers travel fast up to there.
         travel_m = rng.uniform(0.7, 1.0) * max(0.0, way_m - _SLOW_WAY_M)
-        travel_s = travel_m / max(course.travel_speed_m_s, course.approach_speed_m_s)
-        closing_s = travel_s + (way_m - travel_m) / course.approach_speed_m_s
-        n_closing = math.ceil((wait_s + closing_s) / course.period_s)
-        times_s = course.period_s * np.arange(n_closing)
+        travel_s = travel_m / max(gripper.travel_speed_m_s, gripper.approach_speed_m_s)
+        closing_s = travel_s + (way_m - travel_m) / gripper.approach_speed_m_s
+        times_s = period_s * np.arange(math.ceil((wait_s + closing_s) / period_s))
         closed_m: NDArray[np.float64] = np.interp(
             times_s - wait_s, [0.0, travel_s, closing_s], [0.0, travel_m, way_m]
         )
         return closed_m, impact_n
 
+    def _force_course(
+        self, ramp: ForceRamp, impact_n: float, rng: np.random.Generator
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return force and set-point in N in each frame from the start of the ramp."""
+        course, period_s = self.course, self._period_s
+        actual = ramp.starting_from(impact_n)
+        n = math.ceil(actual.duration_s / period_s) + int(rng.integers(0, 3))
+        setpoint_n = np.array([actual.setpoint_n(period_s * i) for i in range(n)])
+        scale = rng.normal(1.0, course.force_sd)
+        force_n = np.empty(n)
+        held_n, lag_n = impact_n, course.slip_n * rng.uniform()
+        for i, wanted_n in enumerate(setpoint_n):
+            target_n = float(wanted_n) * scale
+            over = i >= n - 0.2 / period_s
+            if abs(target_n - held_n) > lag_n or over:
+                held_n += (0.3 if over else 1.0) * (target_n - held_n)
+                lag_n = course.slip_n * rng.uniform()
+            force_n[i] = held_n
+        return force_n, setpoint_n
 
-def _force_course(
-    ramp: ForceRamp, impact_n: float, course: Course, rng: np.random.Generator
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return force and set-point in N in each frame from the start of the ramp."""
-    actual = ramp.starting_from(impact_n)
-    n = math.ceil(actual.duration_s / course.period_s) + int(rng.integers(0, 3))
-    setpoint_n = np.array([actual.setpoint_n(course.period_s * i) for i in range(n)])
-    scale = rng.normal(1.0, course.force_sd)
-    force_n = np.empty(n)
-    held_n, lag_n = impact_n, course.slip_n * rng.uniform()
-    for i, wanted_n in enumerate(setpoint_n):
-        target_n = float(wanted_n) * scale
-        over = i >= n - 0.2 / course.period_s
-        if abs(target_n - held_n) > lag_n or over:
-            held_n += (0.3 if over else 1.0) * (target_n - held_n)
-            lag_n = course.slip_n * rng.uniform()
-        force_n[i] = held_n
-    return force_n, setpoint_n
-
-
-def _measured(
-    aperture_m: NDArray[np.float64], course: Course, rng: np.random.Generator
-) -> NDArray[np.float64]:
-    step_m = course.aperture_step_m
-    shift_m = rng.normal(0.0, course.aperture_sd_m)
-    phase_m = rng.uniform(0.0, step_m)
-    steps: NDArray[np.float64] = np.rint((aperture_m + shift_m - phase_m) / step_m)
-    return steps * step_m + phase_m
+    def _measured(
+        self, aperture_m: NDArray[np.float64], rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Return the opening (n,) in m as the encoders measure it."""
+        shift_m = rng.normal(0.0, self.course.aperture_sd_m)
+        phase_m = rng.uniform(0.0, self._step_m)
+        steps: NDArray[np.float64] = np.rint((aperture_m + shift_m - phase_m) / self._step_m)
+        return steps * self._step_m + phase_m
 
 
 @one_blas_thread()
@@ -365,7 +350,7 @@ def teach_drawing(
     n_grasps: int,
     *,
     kind: str = "",
-    course: Course | None = None,
+    course: Course = _USUAL,
     seed: int = 0,
     start_ms: int = 0,
     progress: Progress = silent,
@@ -382,13 +367,13 @@ def teach_drawing(
     label, drawing, kind
         Name, shape and class of shape of the object.
     course
-        Motion with all uncertainties; by default the usual one of the cell.
+        Uncertainties of motion, foam and sensor.
     seed
         Of poses, forces, noise and all uncertain values.
     start_ms
         Time of the first grasp; each next grasp is a second later.
     """
-    virtual = VirtualPads(config, course or course_of(config))
+    virtual = VirtualPads(config, course)
     rng = np.random.default_rng([seed, 1])
     grasps: list[Grasp] = []
     steps = plan(config.sequence, n_grasps, seed=seed)
@@ -408,19 +393,3 @@ def teach_drawing(
         grasps.append(grasp)
         progress(f"draw {label}", len(grasps), n_grasps)
     return grasps
-
-
-def course_of(config: CellConfig) -> Course:
-    """Return the motion of the configured cell."""
-    settings = config.gripper_settings
-    return Course(
-        period_s=config.tactile.frame_period_s,
-        aperture_open_m=settings.aperture_open_m,
-        aperture_min_m=settings.aperture_min_m,
-        approach_speed_m_s=settings.approach_speed_m_s,
-        travel_speed_m_s=settings.travel_speed_m_s,
-        aperture_step_m=max(config.mechanics.opening_steps_m()),
-        # What stops a finger is a contact from half of that force on.
-        contact_n=settings.contact_force_n,
-        impact_n=(0.5 * settings.contact_force_n, settings.contact_force_n + 0.3),
-    )

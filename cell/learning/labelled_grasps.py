@@ -29,8 +29,7 @@ def name_recorded(source: Path, label: str, dataset: Path, series: str = "") -> 
             f"{source}: each of its grasps has a label; use it with `model train` directly"
         )
     with _extending(dataset, grasps[0].pads) as before:
-        repeated = set(map(id, duplicate_grasps([*before, *grasps])))
-        new = [grasp for grasp in grasps if id(grasp) not in repeated]
+        new = distinct_grasps([*before, *grasps])[len(distinct_grasps(before)) :]
         if not new:
             raise CellError(f"{source}: {dataset} has each of its grasps without a label already")
         named = (replace(grasp, label=label, series=series) for grasp in new)
@@ -55,12 +54,12 @@ def read_labelled_grasps(path: Path, note: Callable[[str], None]) -> tuple[Grasp
     return named
 
 
-def duplicate_grasps(grasps: Sequence[Grasp]) -> list[Grasp]:
-    """Return the grasps that repeat an earlier one: same time, same frames."""
-    seen: dict[tuple[int, int], Grasp] = {}
-    keys = [(grasp.start_ms, hash(grasp.counts.tobytes())) for grasp in grasps]
-    pairs = zip(keys, grasps, strict=True)
-    return [grasp for key, grasp in pairs if seen.setdefault(key, grasp) is not grasp]
+def distinct_grasps(grasps: Sequence[Grasp]) -> list[Grasp]:
+    """Return the grasps without those that repeat an earlier one: same time, same frames."""
+    first: dict[tuple[int, int], Grasp] = {}
+    for grasp in grasps:
+        first.setdefault((grasp.start_ms, hash(grasp.counts.tobytes())), grasp)
+    return list(first.values())
 
 
 def dataset_to_extend(path: Path, pads: PadArray) -> tuple[Grasp, ...]:

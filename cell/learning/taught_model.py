@@ -23,7 +23,6 @@ from cell.plugins import RECOGNIZERS
 from cell.recording.dataset import read_grasps, write_dataset
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift, DriftFollowing, DriftGrid, drift_text
-from recognition.errors import RecognitionError
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 from recognition.shape.answer import ShapeAnswer, fuse_shapes
@@ -258,7 +257,7 @@ class TaughtModel:
         """Return shape and size from one grasp; None if it does not show them."""
         try:
             return None if self.read_shape is None else self.read_shape(grasp)
-        except (RecognitionError, ValueError):
+        except ValueError:
             return None
 
     @property

@@ -9,20 +9,20 @@ from cell.learning.parallel import one_blas_thread
 from cell.plugins import RECOGNIZERS
 from recognition.drift.drift import DriftFollowing, DriftGrid
 from recognition.grasp import Grasp
-from recognition.recognizer import Posterior
+from recognition.recognizer import Posterior, Recognizer
 from recognition.shape.answer import ShapeAnswer
 from recognition.statistics.fusion import fuse
 
 
 def gaugeable(model: Trained, *labels: str) -> DriftFollowing:
-    """Return the recognizer of a model if it can be gauged with these objects.
+    """Return the recognizer of a model if it can be gauged with these objects, or follow a drift.
 
     Raises ModelError if it is of another kind, and RequestRefused if an object was not taught.
     """
     recognizer = model.recognizer
     if not isinstance(recognizer, DriftFollowing):
         raise ModelError(
-            f"a model of {model.trainer_name} cannot be gauged; train a force_ramp model"
+            f"a {model.trainer_name} model cannot follow or gauge a drift; train a force_ramp model"
         )
     for label in labels:
         if label not in recognizer.labels:
@@ -130,11 +130,7 @@ def identify_recorded(
     grasp. Raises ModelError for grasps on other pads, and if the recognizer cannot follow a drift.
     """
     check_pads(model, grasps[0].pads)
-    recognizer = model.recognizer
-    if follow and not isinstance(recognizer, DriftFollowing):
-        raise ModelError(
-            f"a model of {model.trainer_name} cannot follow a drift; train a force_ramp model"
-        )
+    recognizer: Recognizer = gaugeable(model) if follow else model.recognizer
     answers: dict[int, AnsweredGrasp] = {}
     order = range(len(grasps))
     for number in sorted(order, key=lambda i: grasps[i].start_ms) if follow else order:
@@ -143,8 +139,8 @@ def identify_recorded(
         shape = None if read_shape is None else read_shape(grasp)
         if shape is not None:
             posterior = posterior.with_size(shape.low_m, shape.high_m)
-        followed = recognizer if follow and isinstance(recognizer, DriftFollowing) else None
-        answers[number] = posterior, shape, None if followed is None else followed.grid
-        if followed is not None:
-            recognizer = followed.follow(grasp)
+        drift = None
+        if follow and isinstance(recognizer, DriftFollowing):
+            drift, recognizer = recognizer.grid, recognizer.follow(grasp)
+        answers[number] = posterior, shape, drift
     return [answers[number] for number in order]

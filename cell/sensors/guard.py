@@ -43,7 +43,6 @@ class GuardedSource:
         self, make: Callable[[], FrameSource], *, name: str, layout: TaxelLayout, clock: Clock
     ) -> None:
         self.layout, self._name, self._clock = layout, name, clock
-        self.sends_forces = False
         self.statistics = SourceStatistics()
         self._least_s = self._least_force_s = 0.0
         self._fault: LinkFault | None = None
@@ -73,7 +72,7 @@ class GuardedSource:
         self.stop()
         self._least_s = self._least_force_s = self._clock.monotonic()
         with self._guarded():
-            identity, self.sends_forces = self._source.start(), self._source.sends_forces
+            identity = self._source.start()
             if not isinstance(identity, SourceIdentity):
                 raise TypeError(f"start returned {identity!r}, must be a SourceIdentity")
         return identity

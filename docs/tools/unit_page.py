@@ -17,7 +17,7 @@ from tactile import open_sensor
 from tactile.can.sdo_client import COB_SDO_REQUEST, COB_SDO_RESPONSE
 from tactile.control_unit import object_dictionary as od
 from tactile.layout import paper_layout
-from tactile.source import ForceMessage, ForceStatus
+from tactile.source import ForceMessage, ScanStatus
 
 _NODE = 5
 """Node-ID of the simulated unit."""
@@ -64,11 +64,7 @@ def vectors_page() -> str:
     taxels = (np.arange(form.n_taxels) & 0xFF).astype(np.uint16)
     burst = form.burst(taxels, 0x1235, 0)
     force = ForceMessage(
-        t_s=0.0,
-        counter=3,
-        status=ForceStatus.ZEROED,
-        force_n=(1.5, 1.25),
-        centre_taxels=(0.5, -2.0),
+        t_s=0.0, counter=3, status=ScanStatus.ZEROED, force_n=(1.5, 1.25), centre_taxels=(0.5, -2.0)
     )
     vectors = {
         f"frame of {form.n_taxels} taxels of 8 bit, taxel i = i modulo 256, counter 1235h, status "

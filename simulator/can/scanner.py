@@ -17,7 +17,7 @@ from scipy.linalg import block_diag
 
 from simulator.can.faults import ControlUnitFaults
 from tactile.layout import TaxelLayout
-from tactile.source import ForceMessage, ForceStatus, FrameStatus
+from tactile.source import ForceMessage, ScanStatus
 
 MESSAGE_BYTES = 8
 FORCE_COUNTERS = 16
@@ -225,7 +225,7 @@ class PadForces:
         self._active = np.zeros(len(self._place), dtype=np.bool_)
         self._mean = np.zeros(len(self._place))
 
-    def message(self, counts: NDArray[np.uint16], status: ForceStatus) -> ForceMessage:
+    def message(self, counts: NDArray[np.uint16], status: ScanStatus) -> ForceMessage:
         """Return the next message.
 
         Parameters
@@ -236,10 +236,10 @@ class PadForces:
             Status of this scan.
         """
         if np.count_nonzero((counts >= self._adc_max) & ~self._bad):
-            status |= ForceStatus.SATURATED
+            status |= ScanStatus.SATURATED
         force_n, centre = self.scan(counts), None
         if self._table_n is not None and self._zero_counts is not None:
-            status |= ForceStatus.ZEROED
+            status |= ScanStatus.ZEROED
         if (total_n := float(np.add.reduce(force_n))) > 0.0:
             x, y = force_n @ self._place / total_n
             centre = (float(x), float(y))
@@ -315,9 +315,9 @@ class Scanner:
             self.counts = faults.apply(self._world.scan(), self._layout.adc_max)
         self.counter = (self.counter + 1) & 0xFFFF
         saturated = int(self.counts.max()) >= self._layout.adc_max
-        status = FrameStatus.SATURATED if saturated else FrameStatus(0)
+        status = ScanStatus.SATURATED if saturated else ScanStatus(0)
         if self.overrun:
-            status |= FrameStatus.OVERRUN
+            status |= ScanStatus.OVERRUN
             self.overrun = False
         return self.format.burst(self.counts, self.counter, status)
 
@@ -331,6 +331,6 @@ class Scanner:
             gripping = self._gripping.take(self._grip)
             if scan < scans:
                 self.forces.scan(gripping)
-        status = ForceStatus.OVERRUN if self.force_overrun else ForceStatus(0)
+        status = ScanStatus.OVERRUN if self.force_overrun else ScanStatus(0)
         self.force_overrun = False
         return force_bytes(faults.spoil(self.forces.message(gripping, status)))

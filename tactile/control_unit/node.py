@@ -18,7 +18,7 @@ from tactile import errors
 from tactile.can.bus import bad_lines, interface_failed, message_source, of_another_kind, reopened
 from tactile.can.sdo_client import PolledSdoClient
 from tactile.control_unit import object_dictionary as od
-from tactile.control_unit.settings import LinkSettings, NodeIdentity
+from tactile.control_unit.settings import LinkSettings
 from tactile.control_unit.setup import refuse_mismatch, refuse_other_unit, set_up
 from tactile.control_unit.watch import OPERATIONAL, ForceFlow, FrameFlow, NodeWatch
 from tactile.frames import ForceLaw, FrameAssembler, FrameFormat, encode_zero, force_table
@@ -26,9 +26,10 @@ from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.source import (
     Arrivals,
     ForceMessage,
-    ForceStatus,
     LatchingSource,
     PadZero,
+    ScanStatus,
+    SourceIdentity,
     SourceStatistics,
     TactileFrame,
 )
@@ -183,7 +184,7 @@ class TactileLink(LatchingSource):
         """Number of unusable messages without frame messages of a wrong length."""
         return self._counts.malformed + bad_lines(self._bus) - self._bad_lines
 
-    def start(self) -> NodeIdentity:
+    def start(self) -> SourceIdentity:
         """Reset the unit's communication, check it, set it up and start its frames.
 
         Returns its identity when it is operational. Raises NodeMissing if it does not boot in time,
@@ -207,7 +208,7 @@ class TactileLink(LatchingSource):
         finally:
             self._source.close()
 
-    def _commission(self) -> NodeIdentity:
+    def _commission(self) -> SourceIdentity:
         objects, watch, settings = self.objects, self._watch, self.settings
         self._source.start()
         self._command("RESET COMMUNICATION")
@@ -233,7 +234,7 @@ class TactileLink(LatchingSource):
         if self._force_flow is not None:
             self._force_flow.enter_operation(now_s)
         self._service()
-        return replace(identity, sends_forces=self.sends_forces)
+        return replace(identity, sends_forces=self._force_flow is not None)
 
     def _answers_in_time(self) -> bool:
         """Return whether the unit has force messages; FrameTimeout if its answers come too late."""
@@ -257,11 +258,6 @@ class TactileLink(LatchingSource):
         self._frames.clear()
         return Arrivals(frames, self._take_forces())
 
-    @property
-    def sends_forces(self) -> bool:
-        """Whether the unit was set up to send force messages."""
-        return self._force_flow is not None
-
     def set_zero(self, zero: PadZero) -> None:
         """Write object 0x2142, the zero of the force messages, and read it back.
 
@@ -281,7 +277,7 @@ class TactileLink(LatchingSource):
             self._take_forces()
             stored = self.objects[od.FORCE_ZERO].raw
             later = self._take_forces()
-            old_s = [message.t_s for message in later if not message.status & ForceStatus.ZEROED]
+            old_s = [message.t_s for message in later if not message.status & ScanStatus.ZEROED]
             # The last scan before the zero was half a period earlier, on average. A busy host may
             # read one message late.
             late_s = max(old_s, default=written_s) - written_s + 0.5 * self.settings.force_period_s

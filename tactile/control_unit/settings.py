@@ -1,4 +1,4 @@
-"""Settings of the link to the control unit, the identity of a unit, and the load of its bus.
+"""Settings of the link to the control unit, and the load of its bus.
 
 Each number is declared once, with its default and range; the config file uses both.
 """
@@ -9,10 +9,9 @@ from typing import Any
 
 from tactile.frames import MESSAGE_BYTES, FrameFormat
 from tactile.layout import PadMount, TaxelLayout
-from tactile.source import SourceIdentity
 
 WINDOW_SHARE = 0.85
-"""Share of the period of SYNC for the burst of a frame."""
+"""Share of the period of SYNC for the burst of a frame: the synchronous window."""
 
 _FORCE_TIMEOUT_SYNCS, _LEAST_FORCES = 2.0, 4.0
 """Allowed silence of force messages: periods of SYNC, and at least periods of these messages."""
@@ -24,14 +23,6 @@ _FORCE_LATE_S, _LATE_FORCES = 0.015, 3.0
 def setting(default: Any, low: float, high: float) -> Any:
     """Return a dataclass field with its default and range, both ends allowed."""
     return field(default=default, metadata={"low": low, "above": -inf, "high": high})
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NodeIdentity(SourceIdentity):
-    """Identity object 0x1018 of the answering unit, its name and its boards."""
-
-    vendor_id: int
-    product_code: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,11 +75,6 @@ class LinkSettings:
                     f"{key.name} is {value}, must be {key.metadata['low']:g} to "
                     f"{key.metadata['high']:g}"
                 )
-
-    @property
-    def window_s(self) -> float:
-        """Synchronous window in s: the longest burst of the unit."""
-        return WINDOW_SHARE * self.sync_period_s
 
 
 def message_bits(n_bytes: int) -> int:

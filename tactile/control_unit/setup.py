@@ -4,10 +4,11 @@ from collections.abc import Mapping
 
 from tactile.can.sdo_client import PolledSdoClient
 from tactile.control_unit import object_dictionary as od
-from tactile.control_unit.settings import LinkSettings, NodeIdentity
+from tactile.control_unit.settings import WINDOW_SHARE, LinkSettings
 from tactile.errors import IdentityMismatch
 from tactile.frames import FrameFormat
 from tactile.layout import TaxelLayout
+from tactile.source import SourceIdentity
 
 _COB_ID_MASK = 0xFFFF_FFFF & ~(1 << 30)
 """Compared bits of a PDO's COB-ID entry: bit 30 only forbids RTR (CiA 301, 7.5.2.37)."""
@@ -29,10 +30,10 @@ Check = tuple[str, int | str | None, int | str]
 """One row of a comparison: name, expected and found value. None as expected accepts anything."""
 
 
-def read_identity(objects: PolledSdoClient) -> NodeIdentity:
+def read_identity(objects: PolledSdoClient) -> SourceIdentity:
     """Read the identity object, the device name and the boards of the pads."""
     boards = "Serial numbers of the boards.Board of finger"
-    return NodeIdentity(
+    return SourceIdentity(
         vendor_id=objects["Identity object.Vendor-ID"].raw,
         product_code=objects["Identity object.Product code"].raw,
         revision=objects["Identity object.Revision number"].raw,
@@ -43,7 +44,7 @@ def read_identity(objects: PolledSdoClient) -> NodeIdentity:
 
 
 def identity_checks(
-    identity: NodeIdentity, serial: int | None = None, boards: tuple[int, int] | None = None
+    identity: SourceIdentity, serial: int | None = None, boards: tuple[int, int] | None = None
 ) -> list[Check]:
     """Return the comparison of the found identity with that of the EDS, and with given numbers.
 
@@ -63,7 +64,7 @@ def identity_checks(
 
 def refuse_other_unit(
     objects: PolledSdoClient, layout: TaxelLayout, node_id: int, settings: LinkSettings
-) -> NodeIdentity:
+) -> SourceIdentity:
     """Return the identity of the unit; IdentityMismatch if it is not the one of the config.
 
     SYNC is sent without a counter, so a unit with an overflow value answers by emergency 8240h.
@@ -130,7 +131,7 @@ def written(settings: LinkSettings, node_id: int, *, forces: bool) -> dict[str, 
     """
     numbers = {
         "COB-ID SYNC message": od.COB_SYNC,
-        "Synchronous window length": round(settings.window_s * 1e6),
+        "Synchronous window length": round(WINDOW_SHARE * settings.sync_period_s * 1e6),
         "Communication cycle period": round(settings.sync_period_s * 1e6),
         "Producer heartbeat time": round(settings.heartbeat_s * 1e3),
     }

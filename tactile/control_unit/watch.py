@@ -15,7 +15,7 @@ from tactile import errors
 from tactile.can.bus import ACTIVE, CLASS_CONTROLLER, PASSIVE
 from tactile.control_unit.settings import LinkSettings
 from tactile.frames import COUNTERS, decode_force_message
-from tactile.source import ForceMessage, ForceStatistics, ForceStatus, SourceStatistics
+from tactile.source import ForceMessage, ForceStatistics, ScanStatus, SourceStatistics
 
 BOOT_UP = 0
 """State byte of a boot-up message (CiA 301, 7.2.8.3.3); canopen calls that state INITIALISING."""
@@ -380,7 +380,7 @@ class ForceFlow:
     def _note_delay(self, message: ForceMessage) -> None:
         """Add the delay of a message after the time at which its counter was due."""
         step = (message.counter - self._last_counter) % COUNTERS if self._last_data else 1
-        self._sent += step + (ForceStatus.OVERRUN in message.status)
+        self._sent += step + (ScanStatus.OVERRUN in message.status)
         self._delays.append((message.t_s, message.t_s - self._sent * self._period_s))
         while message.t_s - self._delays[0][0] > _BEHIND_S and len(self._delays) > _LEAST_BEHIND:
             # The usual delay excludes the messages that may be late.

@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 
 from tactile.sensor.force_check import ForceCentres
 from tactile.sensor.sensor import TactileReading, TactileSensor
-from tactile.source import ForceMessage, ForceStatus, TactileFrame, mean_centre_taxels
+from tactile.source import ForceMessage, ScanStatus, TactileFrame, mean_centre_taxels
 
 _MESSAGE_S = 0.0015
 """Time in s from a scan to the reception of its message: half a scan, the wire, the adapter."""
@@ -138,12 +138,12 @@ class GripForce(Generic[Sample]):
         return taken
 
 
-def _objection(status: ForceStatus) -> str:
+def _objection(status: ScanStatus) -> str:
     """Return why the forces of a message with this status are not valid, empty if they are."""
-    if status == ForceStatus.ZEROED:
+    if status == ScanStatus.ZEROED:
         return ""
-    if not status & ForceStatus.ZEROED:
+    if not status & ScanStatus.ZEROED:
         return "the control unit has no table or zero for its force messages"
-    if status & ForceStatus.CONVERTER_FAULT:
+    if status & ScanStatus.CONVERTER_FAULT:
         return "the unit's converter failed its self-test"
-    return _SATURATED if status & ForceStatus.SATURATED else ""
+    return _SATURATED if status & ScanStatus.SATURATED else ""

@@ -30,8 +30,8 @@ from tactile.sensor.tare import TareResult, compute_tare, too_many_bad
 from tactile.source import (
     ForceMessage,
     FrameSource,
-    FrameStatus,
     PadZero,
+    ScanStatus,
     SourceIdentity,
     TactileFrame,
 )
@@ -217,7 +217,8 @@ class TactileSensor:
             raise
         if readings:
             self.latest = readings[-1]
-            self.scan_noise_n = self._noise_n(self.latest.active)
+            touched = np.maximum(self.layout.on_fingers(self.latest.active), _LEAST_TOUCHED)
+            self.scan_noise_n = 0.5 * sqrt(_EDGE * touched @ self._grip_noise_n2)
         return readings
 
     def take_forces(self) -> tuple[ForceMessage, ...]:
@@ -233,10 +234,6 @@ class TactileSensor:
         If a taxel has failed since, frames give the force until the pads are free.
         """
         return self._force_bad is not None and bool((self._force_bad == self._quality.bad).all())
-
-    def _noise_n(self, active: Mask) -> float:
-        touched = np.maximum(self.layout.on_fingers(active), _LEAST_TOUCHED)
-        return 0.5 * sqrt(_EDGE * touched @ self._grip_noise_n2)
 
     def read(self, timeout_s: float = 0.5) -> TactileReading:
         """Wait for a reading newer than this call; FrameTimeout after ``timeout_s``."""
@@ -280,7 +277,7 @@ class TactileSensor:
         self._force_bad = None
         noise_counts = np.maximum(tare.noise_counts, _ROUNDING_COUNTS)
         self._pad_noise_n = self.layout.medians(self._per_count_n * noise_counts)
-        if not self.source.sends_forces:
+        if self.identity is None or not self.identity.sends_forces:
             return
         grip = np.r_[self.layout.gripping_taxels]
         bad, noise = self._quality.bad, float(np.median(tare.noise_counts[grip]))
@@ -434,7 +431,7 @@ class TactileSensor:
         """Return why the forces of a frame may not be used, else ""."""
         if self.tare_result is None:
             return "not tared since the start"
-        if frame.status & FrameStatus.CONVERTER_FAULT:
+        if frame.status & ScanStatus.CONVERTER_FAULT:
             return "the unit's converter failed its self-test"
         if not self._mean_full:
             return "too few frames since the tare or the last gap"

@@ -46,9 +46,9 @@ from tactile.sensor.settings import SensorSettings
 from tactile.source import (
     Arrivals,
     ForceMessage,
-    ForceStatus,
     FrameStatistics,
     PadZero,
+    ScanStatus,
     SourceIdentity,
     SourceStatistics,
     TactileFrame,
@@ -606,7 +606,7 @@ START_S, NOW_S = 10.0, 20.0
 ZERO = PadZero(offset_counts=np.zeros(N), touch_counts=3.0, bad=np.zeros(N, dtype=bool))
 FRAME = TactileFrame(t_s=15.0, begun_s=14.98, counter=1, status=0, counts=np.ones(N, dtype="u2"))
 FORCE = ForceMessage(
-    t_s=15.0, counter=1, status=ForceStatus.ZEROED, force_n=(1.0, 1.1), centre_taxels=(0.0, 0.5)
+    t_s=15.0, counter=1, status=ScanStatus.ZEROED, force_n=(1.0, 1.1), centre_taxels=(0.0, 0.5)
 )
 
 
@@ -615,7 +615,6 @@ def source() -> Mock:
     """A frame source whose methods do what the test wants."""
     return Mock(
         layout=LAYOUT,
-        sends_forces=True,
         statistics=SourceStatistics(frames=FrameStatistics(complete=7)),
         start=Mock(return_value=SourceIdentity(name="fake")),
         poll=Mock(return_value=Arrivals((FRAME,), (FORCE,))),
@@ -650,7 +649,6 @@ def test_sound_values_come_through(guard: GuardedSource, source: Mock) -> None:
     arrivals = guard.poll()
     assert arrivals == Arrivals((FRAME,), (FORCE,))
     assert not arrivals.frames[0].counts.flags.writeable
-    assert guard.sends_forces
     assert guard.statistics.frames.complete == 7
     source.poll = lambda: frames(15.1, 15.1, 15.2)
     assert len(guard.poll().frames) == 3

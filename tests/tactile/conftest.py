@@ -1,6 +1,6 @@
 """The link and a simulated control unit on a bus in memory, and ways to spoil what it sends."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
 import can
@@ -16,7 +16,7 @@ from tactile.control_unit.settings import LinkSettings
 from tactile.frames import ForceLaw
 from tactile.layout import TaxelLayout, paper_layout
 from tactile.sensor.calibration import Calibration
-from tactile.source import ForceMessage, FrameSource, TactileFrame
+from tactile.source import Arrivals, ForceMessage, FrameSource, TactileFrame
 
 NODE = 5
 BOOT_S = 0.05
@@ -75,20 +75,13 @@ class Bench:
         self.clock.sleep(BOOT_S)
 
     def run(self, seconds: float, step_s: float = 0.005) -> list[TactileFrame]:
-        frames: list[TactileFrame] = []
-        for _ in range(round(seconds / step_s)):
-            self.clock.sleep(step_s)
-            frames += self.link.poll().frames
-        return frames
+        arrivals = polled(self.clock, self.link, seconds, step_s)
+        return [frame for arrived in arrivals for frame in arrived.frames]
 
     def forces(self, seconds: float) -> list[ForceMessage]:
         """Run for so long and return the force messages that came."""
-        messages: list[ForceMessage] = []
-        end_s = self.clock.monotonic() + seconds
-        while self.clock.monotonic() < end_s:
-            self.clock.sleep(0.001)
-            messages += self.link.poll().forces
-        return messages
+        arrivals = polled(self.clock, self.link, seconds, 0.001)
+        return [message for arrived in arrivals for message in arrived.forces]
 
     def put(self, cob_id: int, data: bytes, **options: object) -> None:
         """Let the host receive a message now, past wire and unit."""
@@ -109,13 +102,19 @@ class Bench:
         self.unit.send = altered
 
 
+def polled(
+    clock: VirtualClock, source: FrameSource, seconds: float, step_s: float = 0.005
+) -> Iterator[Arrivals]:
+    """Poll a source for so long, by default at the rate of a force loop."""
+    for _ in range(round(seconds / step_s)):
+        clock.sleep(step_s)
+        yield source.poll()
+
+
 def run(cell: SimulatedCell, source: FrameSource, seconds: float) -> list[TactileFrame]:
-    """Poll the source of boards at the rate of a force loop and return the frames."""
-    frames: list[TactileFrame] = []
-    for _ in range(round(seconds / 0.005)):
-        cell.clock.sleep(0.005)
-        frames += source.poll().frames
-    return frames
+    """Poll the source of boards and return the frames."""
+    arrivals = polled(cell.clock, source, seconds)
+    return [frame for arrived in arrivals for frame in arrived.frames]
 
 
 @pytest.fixture

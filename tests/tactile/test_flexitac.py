@@ -14,7 +14,7 @@ from tactile.board_source import Board
 from tactile.errors import FrameTimeout, LayoutError, LinkFault
 from tactile.flexitac import HEADER, PROFILES, FlexiTacSource, FrameStream
 from tactile.layout import LAYOUTS, TaxelLayout
-from tactile.source import FrameStatus
+from tactile.source import ScanStatus
 from tests.tactile.conftest import run
 
 LAYOUT = LAYOUTS["flexitac_12x32"]()
@@ -117,7 +117,7 @@ def test_a_saturated_taxel_is_in_the_status(cell, source) -> None:
     source.start()
     assert run(cell, source, 0.1)[-1].status == 0
     cell.inject("taxels.stuck_at=5:255")
-    assert run(cell, source, 0.1)[-1].status == FrameStatus.SATURATED
+    assert run(cell, source, 0.1)[-1].status == ScanStatus.SATURATED
 
 
 def test_a_load_that_looks_like_a_header_at_the_start_is_named(cell, source) -> None:

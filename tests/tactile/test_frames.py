@@ -10,7 +10,7 @@ from tactile.control_unit.settings import LinkSettings
 from tactile.control_unit.watch import ForceFlow
 from tactile.errors import LayoutError
 from tactile.frames import PHASE_SHIFT, FrameAssembler, FrameFormat, crc8, decode_force_message
-from tactile.source import ForceMessage, ForceStatistics, ForceStatus, TactileFrame
+from tactile.source import ForceMessage, ForceStatistics, ScanStatus, TactileFrame
 
 PAPER = FrameFormat(n_taxels=408, sample_bytes=1)
 
@@ -56,7 +56,7 @@ def message(counter: int, force_n: float = 1.0) -> ForceMessage:
     return ForceMessage(
         t_s=0.0,
         counter=counter,
-        status=ForceStatus.ZEROED,
+        status=ScanStatus.ZEROED,
         force_n=(force_n, force_n),
         centre_taxels=(0.0, 0.0),
     )
@@ -71,7 +71,7 @@ def test_the_bytes_are_those_of_the_layout() -> None:
     sent = ForceMessage(
         t_s=7.0,
         counter=11,
-        status=ForceStatus.ZEROED | ForceStatus.OVERRUN,
+        status=ScanStatus.ZEROED | ScanStatus.OVERRUN,
         force_n=(12.346, -0.25),
         centre_taxels=(-3.5, 1.0625),
     )
@@ -82,7 +82,7 @@ def test_the_bytes_are_those_of_the_layout() -> None:
 
 def test_without_a_touch_there_is_no_centre_and_what_is_too_much_stays_at_the_end() -> None:
     sent = ForceMessage(
-        t_s=0.0, counter=3, status=ForceStatus(0), force_n=(1e3, -1e3), centre_taxels=None
+        t_s=0.0, counter=3, status=ScanStatus(0), force_n=(1e3, -1e3), centre_taxels=None
     )
     decoded = decode_force_message(force_bytes(sent), 0.0)
     assert decoded.centre_taxels is None

@@ -535,7 +535,7 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
         (2, "teach ball -o {made} -c {real} --fault can.off", REAL_FAULT),
         (2, "identify x.npz -m m.npz --fault can.off", "leave it out for recorded grasps"),
         (2, "identify --follow -m {model}", "--follow is for recorded grasps"),
-        (1, "identify --follow -m {level} {dataset}", "level_check cannot follow a drift"),
+        (1, "identify --follow -m {level} {dataset}", "level_check model cannot follow or gauge"),
         (2, "teach x -o {made} --shape sphere:diameter=9mm --fault can.off", "for a drawing"),
         (1, "model train {none} -o {made}", "none.npz"),
         (1, "model train {dataset} {other} -o {made}", "different pads; train a model for each"),

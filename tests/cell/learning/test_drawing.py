@@ -14,7 +14,7 @@ from cell.control.plan import Pose
 from cell.control.records import pad_array
 from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.app import app
-from cell.learning.drawing import course_of, reaches_m, teach_drawing
+from cell.learning.drawing import Course, VirtualPads, reaches_m, teach_drawing
 from cell.learning.shape_reading import after_label, in_words, shape_reader, usual_foam
 from cell.recording.dataset import read_dataset, write_dataset
 from cell.runtime.goals import checked_goal
@@ -31,10 +31,12 @@ BALL = "sphere:diameter=9.5mm"
 BOX = "box:length=15.9mm,width=10mm,height=10mm"
 CYLINDER = "cylinder:diameter=6mm,length=20mm"
 RATE_N_S, FRAME_S = 20.0, 0.02
-SURE = dict.fromkeys(
-    [f"{name}_sd" for name in ("modulus", "gain", "spread", "densification", "thickness", "bend")]
-    + ["lag", "noise_sd"],
-    0.0,
+SURE = Course(
+    **dict.fromkeys(
+        [f"{key}_sd" for key in ("modulus", "gain", "spread", "densification", "thickness", "bend")]
+        + ["lag", "noise_sd"],
+        0.0,
+    )
 )
 """A course on the usual foam and sensor."""
 
@@ -48,8 +50,7 @@ def refused(*arguments: object) -> str:
 def test_a_virtual_grasp_looks_like_the_cells_own(taught) -> None:
     config = taught.config
     own = [g for g in taught.grasps if g.label == "ball"]
-    course = replace(course_of(config), **SURE)
-    drawn = teach_drawing(config, "ball", drawn_shape(BALL), 40, kind="sphere", course=course)
+    drawn = teach_drawing(config, "ball", drawn_shape(BALL), 40, kind="sphere", course=SURE)
     first = drawn[0]
     assert first.pads.same_as(own[0].pads)
     assert (first.source, first.shape) == ("drawing", "sphere")
@@ -146,8 +147,7 @@ def test_simulated_and_virtual_pads_read_as_the_config_says(tactile) -> None:
 def test_virtual_grasps_and_sizes_follow_the_law_of_the_sensor(tactile) -> None:
     config = CellConfig.model_validate({"tactile": tactile, "simulator": {"noise_level": 0.0}})
     calibration = make_calibration(config.tactile, layout_from_config(config.tactile))
-    course = replace(course_of(config), **SURE)
-    grasps = teach_drawing(config, "ball", drawn_shape(BALL), 4, course=course)
+    grasps = teach_drawing(config, "ball", drawn_shape(BALL), 4, course=SURE)
     for grasp in grasps:
         pads_n = calibration.force_n(grasp.counts[-3:].mean(axis=0))
         for pad in (0, 1):
@@ -229,8 +229,8 @@ def test_an_object_beside_the_pads_is_refused() -> None:
 def test_one_servo_moves_both_fingers_in_larger_steps() -> None:
     config = CellConfig()
     alone = config.gripper.model_copy(update={"servos": config.gripper.servos[:1]})
-    both_m = course_of(config).aperture_step_m
-    one_m = course_of(config.model_copy(update={"gripper": alone})).aperture_step_m
+    both_m = VirtualPads(config, SURE)._step_m
+    one_m = VirtualPads(config.model_copy(update={"gripper": alone}), SURE)._step_m
     assert one_m == pytest.approx(2 * both_m)
     assert both_m == pytest.approx(60e-3 * 2 * np.pi / 4096)
 

@@ -153,7 +153,7 @@ def test_what_cannot_be_gauged_or_followed_says_why(taught, drifted, tmp_path) -
         call("model", "calibrate", "--gauge", "ball", "-o", tmp_path / "m.npz")
     model = load_model(taught.result.model)
     plain = make_trainer("level_check").fit(taught.grasps)
-    with pytest.raises(ModelError, match="cannot be gauged"):
+    with pytest.raises(ModelError, match="cannot follow or gauge a drift"):
         calibrate_model(
             replace(model, recognizer=plain, trainer_name="level_check"), {"ball": taught.grasps}
         )

@@ -21,7 +21,7 @@ from tactile.frames import (
 )
 from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 from tactile.sensor.calibration import Calibration, FoamCalibration, TableCalibration
-from tactile.source import ForceMessage, ForceStatus, FrameStatus, TactileFrame
+from tactile.source import ForceMessage, ScanStatus, TactileFrame
 from tests.simulator.conftest import DeviceLine
 from tests.tactile.conftest import Skin, counts_of
 
@@ -158,7 +158,7 @@ def test_a_force_message_waits_for_the_one_before_and_says_so(line) -> None:
     line.message_s = 0.005
     messages = forces(line, 0.06)
     assert len(messages) == 10
-    assert all(message.status & ForceStatus.OVERRUN for message in messages[1:])
+    assert all(message.status & ScanStatus.OVERRUN for message in messages[1:])
 
 
 def test_table_and_zero_need_a_right_checksum_and_can_be_read_back(line) -> None:
@@ -203,7 +203,7 @@ def test_a_sync_during_a_burst_is_passed_over_and_told(line) -> None:
     assert line.tell(SYNC) == []
     line.wait(0.003)
     frame = line.frame()
-    assert (frame.counter, frame.status) == (1, FrameStatus.OVERRUN)
+    assert (frame.counter, frame.status) == (1, ScanStatus.OVERRUN)
     assert line.frame().status == 0
 
 
@@ -216,7 +216,7 @@ def test_a_burst_that_does_not_fit_the_window_is_cut_short_and_told(line) -> Non
     assert 20 < len(heard) - 1 < 30
     line.wait(0.02)
     line.write(0x1007, 0, 0, 4)
-    assert line.frame().status == FrameStatus.OVERRUN
+    assert line.frame().status == ScanStatus.OVERRUN
 
 
 @pytest.mark.parametrize(
@@ -277,7 +277,7 @@ class Unit:
         force_n[list(taxel_n)] = list(taxel_n.values())
         counts = np.rint(counts_of(self.calibration, force_n)[: self.n] + self.zero)
         for _ in range(scans):
-            message = self.forces.message(counts.astype(np.uint16), ForceStatus(0))
+            message = self.forces.message(counts.astype(np.uint16), ScanStatus(0))
         return message
 
 
@@ -289,7 +289,7 @@ def test_the_sum_is_the_force_though_the_counts_are_not_linear(layout, calibrati
     middle = 5 * columns + 1
     pressed = {middle: 2.0, middle + 1: 1.0, n_first + middle: 2.5, n_first + middle + 1: 0.5}
     measured = unit.press(pressed, scans=20)
-    assert measured.status == ForceStatus.ZEROED
+    assert measured.status == ScanStatus.ZEROED
     assert measured.force_n == pytest.approx((3.0, 3.0), abs=0.06)
     rows = layout.pads[layout.gripping_pads[0]].rows
     along = 5 - 0.5 * (rows - 1)
@@ -324,7 +324,7 @@ def test_noise_of_untouched_pads_is_no_force() -> None:
     for _ in range(3000):
         noise = np.clip(np.abs(10.0 * rng.standard_normal(unit.n)), 1.0, 20.0) - 8.0
         counts = np.rint(unit.zero + noise).astype(np.uint16)
-        assert unit.forces.message(counts, ForceStatus(0)).force_n == (0.0, 0.0)
+        assert unit.forces.message(counts, ScanStatus(0)).force_n == (0.0, 0.0)
 
 
 def test_neighbours_stand_in_for_a_taxel_that_fails() -> None:
@@ -337,11 +337,11 @@ def test_neighbours_stand_in_for_a_taxel_that_fails() -> None:
 def test_a_unit_without_table_or_zero_says_so_and_full_scale_too() -> None:
     layout, calibration = LAYOUTS[0]
     unit = Unit(layout, calibration)
-    assert unit.press({4: 60.0}).status & ForceStatus.SATURATED
-    assert not Unit(layout, calibration, bad=(4,)).press({4: 60.0}).status & ForceStatus.SATURATED
+    assert unit.press({4: 60.0}).status & ScanStatus.SATURATED
+    assert not Unit(layout, calibration, bad=(4,)).press({4: 60.0}).status & ScanStatus.SATURATED
     unit.forces.reset()
     measured = unit.press({4: 1.0})
-    assert (measured.status, measured.force_n) == (ForceStatus(0), (0.0, 0.0))
+    assert (measured.status, measured.force_n) == (ScanStatus(0), (0.0, 0.0))
 
 
 @pytest.mark.parametrize(
@@ -355,7 +355,7 @@ def test_a_unit_without_table_or_zero_says_so_and_full_scale_too() -> None:
 )
 def test_faults_change_force_and_centre_alone(knobs, force_n, centre) -> None:
     sound = ForceMessage(
-        t_s=0.0, counter=3, status=ForceStatus.ZEROED, force_n=(2.0, 4.0), centre_taxels=(1.0, 2.0)
+        t_s=0.0, counter=3, status=ScanStatus.ZEROED, force_n=(2.0, 4.0), centre_taxels=(1.0, 2.0)
     )
     spoilt = ControlUnitFaults(**knobs).spoil(sound)
     assert spoilt == replace(sound, force_n=force_n, centre_taxels=centre)

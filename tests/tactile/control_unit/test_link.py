@@ -32,7 +32,7 @@ from tactile.frames import FrameFormat, encode_zero, force_table
 from tactile.layout import PadMount, paper_layout, pinch_layout, taxel_order
 from tactile.sensor.calibration import FoamCalibration
 from tactile.sensor.opening import open_sensor
-from tactile.source import ForceMessage, ForceStatus, PadZero, SourceStatistics
+from tactile.source import ForceMessage, PadZero, ScanStatus, SourceStatistics
 from tests.tactile.conftest import Bench
 
 NODE = 5
@@ -531,7 +531,7 @@ def make_forces(make_bench: Callable[..., Bench]) -> Callable[..., Bench]:
 
 
 def started(bench: Bench) -> Bench:
-    bench.link.start()
+    assert bench.link.start().sends_forces
     bench.link.set_zero(ZERO)
     return bench
 
@@ -542,14 +542,13 @@ def sending(make_forces: Callable[..., Bench]) -> Bench:
 
 
 def test_the_force_comes_by_table_and_zero_each_three_milliseconds(sending) -> None:
-    assert sending.link.sends_forces
     sending.skin.counts[:] = 20
     sending.forces(0.1)
     messages = sending.forces(0.3)
     assert len(messages) == pytest.approx(100, abs=1)
     taxel_n = float(FoamCalibration(255).force_n(np.array([20.0]))[0])
     assert messages[-1].force_n == pytest.approx((64 * taxel_n, 64 * taxel_n), rel=0.01)
-    assert messages[-1].status == ForceStatus.ZEROED
+    assert messages[-1].status == ScanStatus.ZEROED
     assert np.diff([message.t_s for message in messages]).max() < 0.0035
     assert sending.link.statistics.forces.lost == 0
 
@@ -575,8 +574,7 @@ def test_a_force_message_waits_for_one_message_of_a_burst_and_no_more(sending) -
 
 def test_a_unit_without_force_messages_runs_as_before(make_forces) -> None:
     sending = make_forces(unit=ControlUnitSettings(force_messages=False))
-    sending.link.start()
-    assert not sending.link.sends_forces
+    assert not sending.link.start().sends_forces
     assert sending.forces(0.2) == []
     assert sending.link.statistics.frames.complete >= 9
     assert {can_id for _, can_id, _ in sending.traffic} >= {0x185}
@@ -704,7 +702,7 @@ def test_mounts_that_cannot_be_are_refused(mounts, complaint) -> None:
 
 def test_forces_and_zero_of_exchanged_and_turned_pads_go_both_ways() -> None:
     message = ForceMessage(
-        t_s=1.0, counter=3, status=ForceStatus.ZEROED, force_n=(1.0, 2.0), centre_taxels=(1.5, -0.5)
+        t_s=1.0, counter=3, status=ScanStatus.ZEROED, force_n=(1.0, 2.0), centre_taxels=(1.5, -0.5)
     )
     exchanged, turned = Mounting(PINCH, EXCHANGED), Mounting(PINCH, TURNED)
     assert exchanged.force(message).force_n == (2.0, 1.0)

@@ -14,7 +14,7 @@ from tactile.errors import ForceContradicted
 from tactile.sensor.force_check import ForceCentres, ForceCheck
 from tactile.sensor.grip_force import GripForce
 from tactile.sensor.sensor import TactileSensor
-from tactile.source import ForceMessage, ForceStatus, PadZero
+from tactile.source import ForceMessage, PadZero, ScanStatus, SourceIdentity
 from tests.marks import LONG
 from tests.tactile.conftest import counts_of
 from tests.tactile.sensor.test_sensor import CALIBRATION, LAYOUT, Frames, readings
@@ -22,20 +22,20 @@ from tests.tactile.sensor.test_sensor import CALIBRATION, LAYOUT, Frames, readin
 
 def message(t_s: float, *force_n: float) -> ForceMessage:
     first_n, second_n = force_n
-    return ForceMessage(t_s=t_s, counter=0, status=ForceStatus.ZEROED, force_n=(first_n, second_n))
+    return ForceMessage(t_s=t_s, counter=0, status=ScanStatus.ZEROED, force_n=(first_n, second_n))
 
 
 class Forces(Frames):
     """A link that shows one force, each 3 ms, beside its frames."""
 
-    sends_forces = True
+    identity = SourceIdentity(sends_forces=True)
 
     def __init__(self) -> None:
         super().__init__()
         self.force_n = (0.0, 0.0)
         self.zeros: list[PadZero] = []
         self.due_s = 0.0
-        self.status = ForceStatus.ZEROED
+        self.status = ScanStatus.ZEROED
 
     def set_zero(self, zero: PadZero) -> None:
         self.zeros.append(zero)
@@ -138,10 +138,10 @@ def test_the_noise_of_the_centre_follows_the_extent_of_the_contact(rows: int) ->
 @pytest.mark.parametrize(
     ("status", "at_least"),
     [
-        (ForceStatus.ZEROED, False),
-        (ForceStatus.ZEROED | ForceStatus.SATURATED, True),
-        (ForceStatus.ZEROED | ForceStatus.SATURATED | ForceStatus.CONVERTER_FAULT, False),
-        (ForceStatus.SATURATED, False),
+        (ScanStatus.ZEROED, False),
+        (ScanStatus.ZEROED | ScanStatus.SATURATED, True),
+        (ScanStatus.ZEROED | ScanStatus.SATURATED | ScanStatus.CONVERTER_FAULT, False),
+        (ScanStatus.SATURATED, False),
     ],
 )
 def test_messages_of_a_taxel_at_full_scale_are_a_lower_bound(status, at_least) -> None:
@@ -150,7 +150,7 @@ def test_messages_of_a_taxel_at_full_scale_are_a_lower_bound(status, at_least) -
     link.status = status
     readings(sensor, link, 5)
     sample = force.latest_force()
-    assert (sample.valid, sample.at_least) == (status == ForceStatus.ZEROED, at_least)
+    assert (sample.valid, sample.at_least) == (status == ScanStatus.ZEROED, at_least)
 
 
 @pytest.mark.parametrize("full", [True, False])
@@ -197,6 +197,13 @@ def test_the_centre_is_the_mean_place_weighted_by_force() -> None:
     assert ForceCentres(LAYOUT).of(force_n) == centres
 
 
+def check_of(taxel_noise_n: float) -> ForceCheck:
+    """Return a check of pads with this noise of one taxel in N."""
+    check = ForceCheck()
+    check.reset(taxel_noise_n)
+    return check
+
+
 def compared(
     check: ForceCheck,
     at_s: float,
@@ -218,8 +225,7 @@ def around(at_s: float, *force_n: float, centre=(0.0, 0.0)) -> list[ForceMessage
 
 def test_a_load_that_is_spread_over_a_pad_is_no_difference() -> None:
     """A flat part on 64 taxels: frames show none of 2.5 N above the noise of each."""
-    check, draw = ForceCheck(), np.random.default_rng(0)
-    check.reset(taxel_noise_n=0.045)
+    check, draw = check_of(0.045), np.random.default_rng(0)
     for n in range(100):
         whole_n = 2.5 + draw.normal(0.0, 0.045 * 8.0, 2)
         check.messages.extend(around(0.02 * n, 2.5, 2.5))
@@ -229,8 +235,7 @@ def test_a_load_that_is_spread_over_a_pad_is_no_difference() -> None:
 @pytest.mark.parametrize("hidden", [True, False])
 def test_a_light_touch_of_a_quiet_pad_may_lack_in_the_messages(*, hidden: bool) -> None:
     """No taxel is above the unit's threshold; with one, the same difference is an error."""
-    check, force_n = ForceCheck(), (0.4, 0.4)
-    check.reset(taxel_noise_n=0.0)
+    check, force_n = check_of(0.0), (0.4, 0.4)
     with nullcontext() if hidden else pytest.raises(ForceContradicted, match=r"0\.00 N on"):
         for n in range(30):
             check.messages.extend(around(0.02 * n, 0.0, 0.0))
@@ -267,16 +272,13 @@ def frames_until_fault(check: ForceCheck, message_n: float, frame_n: float, **mo
 def test_a_difference_is_found_the_sooner_the_larger_it_is(
     message_n, frame_n, taxel_n, noise_n, most
 ) -> None:
-    check = ForceCheck()
-    check.reset(taxel_noise_n=taxel_n)
-    n_frames = frames_until_fault(check, message_n, frame_n, noise_n=noise_n)
+    n_frames = frames_until_fault(check_of(taxel_n), message_n, frame_n, noise_n=noise_n)
     assert n_frames == 100 if most == 100 else n_frames <= most
 
 
 @pytest.mark.parametrize("seed", [0, *(LONG(n) for n in (1, 2))])
 def test_noise_alone_is_no_difference(seed: int) -> None:
-    check, draw = ForceCheck(), np.random.default_rng(seed)
-    check.reset(taxel_noise_n=0.03)
+    check, draw = check_of(0.03), np.random.default_rng(seed)
     for n in range(3000):  # a minute
         at_s = 0.02 * n
         forces_n = 4.0 + draw.normal(0.0, 0.2, (5, 2))
@@ -286,8 +288,7 @@ def test_noise_alone_is_no_difference(seed: int) -> None:
 
 
 def test_a_part_that_leaves_or_is_touched_between_two_messages_is_no_difference() -> None:
-    check = ForceCheck()
-    check.reset(taxel_noise_n=0.02)
+    check = check_of(0.02)
     forces_n = [6.0] * 30 + [0.0] * 30 + [5.0] * 30
     for n, (before_n, now_n) in enumerate(itertools.pairwise(forces_n)):
         compared(check, 0.02 * n, around(0.02 * n, before_n, before_n), (now_n, now_n))
@@ -297,8 +298,7 @@ def test_a_force_that_changes_fast_is_no_difference() -> None:
     def force_n(at_s: float) -> float:
         return max(0.0, 8.0 - 300.0 * max(0.0, at_s - 0.05))
 
-    check, sent_s = ForceCheck(), 0.0
-    check.reset(taxel_noise_n=0.02)
+    check, sent_s = check_of(0.02), 0.0
     for n in range(20):
         at_s = 0.01 * n - 0.0033
         messages = []
@@ -309,8 +309,7 @@ def test_a_force_that_changes_fast_is_no_difference() -> None:
 
 
 def test_a_message_in_three_that_shows_less_is_a_difference() -> None:
-    check, kinds = ForceCheck(), itertools.cycle((6.0, 6.0, 3.6))
-    check.reset(taxel_noise_n=0.02)
+    check, kinds = check_of(0.02), itertools.cycle((6.0, 6.0, 3.6))
 
     def compare_twenty() -> None:
         for n in range(20):
@@ -326,15 +325,12 @@ def test_a_message_in_three_that_shows_less_is_a_difference() -> None:
     [(6.0, (1.0, 0.0), 3), (2.0, (0.0, -1.0), 25), (6.0, None, 2), (6.0, (0.2, 0.2), 100)],
 )
 def test_centres_that_are_elsewhere_or_missing_are_found(force_n, centre, most) -> None:
-    check = ForceCheck()
-    check.reset(taxel_noise_n=0.02)
-    n_frames = frames_until_fault(check, force_n, force_n, message_centre=centre)
+    n_frames = frames_until_fault(check_of(0.02), force_n, force_n, message_centre=centre)
     assert n_frames == 100 if most == 100 else n_frames <= most
 
 
 def test_centres_of_several_touches_do_not_add_up() -> None:
-    check = ForceCheck()
-    check.reset(taxel_noise_n=0.02)
+    check = check_of(0.02)
     for n, centre in enumerate([(0.0, 0.0), None] * 20):
         messages = around(0.02 * n, 6.0, 6.0, centre=(1.0, 0.0))
         compared(check, 0.02 * n, messages, (6.0, 6.0), centre=centre)

@@ -17,8 +17,8 @@ from tactile.source import (
     Arrivals,
     ForceMessage,
     FrameStatistics,
-    FrameStatus,
     PadZero,
+    ScanStatus,
     SourceIdentity,
     SourceStatistics,
     TactileFrame,
@@ -42,7 +42,7 @@ FOOTPRINTS = {
 class Frames:
     """A frame source without a bus: a frame every 20 ms, and the clock that goes with it."""
 
-    sends_forces = False
+    identity = IDENTITY
     statistics = SourceStatistics(frames=FrameStatistics())
 
     def __init__(self, layout: TaxelLayout = LAYOUT, seed: int = 1) -> None:
@@ -66,7 +66,7 @@ class Frames:
         self.now_s += seconds
 
     def start(self) -> SourceIdentity:
-        return IDENTITY
+        return self.identity
 
     def stop(self) -> None:
         self.closed = True
@@ -207,7 +207,7 @@ def test_a_gap_starts_the_mean_anew(sensor, frames) -> None:
 
 
 def test_a_converter_fault_is_an_objection(sensor, frames) -> None:
-    frames.status = FrameStatus.CONVERTER_FAULT
+    frames.status = ScanStatus.CONVERTER_FAULT
     assert "self-test" in readings(sensor, frames, 4)[-1].reason
 
 

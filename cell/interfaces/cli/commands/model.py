@@ -22,7 +22,7 @@ from cell.interfaces.cli.session import (
     running_cell,
 )
 from cell.interfaces.cli.terminal import percent, print_line, print_note, progress_bar, show
-from cell.learning.labelled_grasps import duplicate_grasps
+from cell.learning.labelled_grasps import distinct_grasps
 from cell.learning.model import LAST_MODEL, load_model, save_model
 from cell.learning.parallel import workers
 from cell.learning.taught_model import training_set_section
@@ -53,8 +53,8 @@ def train(
     grasps = selected_grasps(datasets, selection, print_line)
     if not all(grasp.pads.same_as(grasps[0].pads) for grasp in grasps):
         raise CellError("the data sets are of different pads; train a model for each")
-    repeated = set(map(id, duplicate_grasps(grasps)))
-    if twice := len(repeated):
+    distinct = distinct_grasps(grasps)
+    if twice := len(grasps) - len(distinct):
         print_note(f"{twice} of {len(grasps)} grasps occur twice: probabilities are too high")
     trained = train_model(grasps, recognizer)
     prior = None
@@ -77,7 +77,7 @@ def train(
             f"spread between days and cells: gain {100 * prior.log_gain_sd:.0f} %, opening "
             f"{prior.offset_sd_mm:.1f} mm"
         )
-    notes = teaching_notes([grasp for grasp in grasps if id(grasp) not in repeated])
+    notes = teaching_notes(distinct)
     values = {
         "model": str(model),
         "recognizer": recognizer,
@@ -231,7 +231,8 @@ def evaluate(
     taught = None
     if train_on is not None:
         taught = selected_grasps([train_on], EVERYTHING, print_line)
-    if twice := len(duplicate_grasps([*(taught or ()), *grasps])):
+    every = [*(taught or ()), *grasps]
+    if twice := len(every) - len(distinct_grasps(every)):
         print_note(f"{twice} grasps were taught or occur twice: the accuracy is too high")
     n_processes = 0 if len(grasps) >= _MANY_GRASPS else 1
     with workers(n_processes) as mapper, progress_bar() as progress:
