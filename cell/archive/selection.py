@@ -48,13 +48,15 @@ def parse_selection(
 ) -> Selection:
     """Return the selection of some cells, a day or FIRST..LAST, and objects; None means all.
 
-    Raises ConfigError for days in another format.
+    Raises ConfigError for days in another format or order.
     """
     first, dots, last = (".." if days is None else days).partition("..")
     ends = (first, last if dots else first)
     remedy = f"--days is {days!r}; write 2027-01-15, or 2027-01-01..2027-03-31"
     with raised_as(ConfigError, ValueError, where=remedy):
         first, last = (str(date.fromisoformat(day)) if day or not dots else "" for day in ends)
+        if first > (last or EVERYTHING.last_day):
+            raise ValueError("it begins after its end")
     return Selection(
         cells=frozenset(cells or ()),
         first_day=first,

@@ -11,6 +11,7 @@ from functools import partial
 from ipaddress import ip_address, ip_network
 from pathlib import Path
 from pkgutil import resolve_name
+from ssl import SSLError
 from typing import TYPE_CHECKING, Any
 
 from cell.config.serve import ServeConfig
@@ -67,9 +68,14 @@ def open_interfaces(service: Service) -> Iterator[dict[str, Any]]:
                 interface = make(service)
             except OSError as error:
                 taken = error.errno in (EADDRINUSE, EACCES) and error.filename is None
-                remedy = (
-                    f"; set serve.{key} to another port, or to 0: any free port" if taken else ""
-                )
+                remedy = ""
+                if taken:
+                    remedy = f"; set serve.{key} to another port, or to 0: any free port"
+                elif isinstance(error, SSLError):
+                    remedy = (
+                        f"; serve.tls_certificate {config.tls_certificate} and serve.tls_key "
+                        f"{config.tls_key} must be PEM files of one certificate and its key"
+                    )
                 raise CellError(
                     f"an interface at {config.listen}:{getattr(config, key)} (serve.{key}) "
                     f"cannot be opened: {error}{remedy}"

@@ -292,6 +292,8 @@ def test_a_selection_reads_only_its_cells_days_and_objects(archived) -> None:
         parse_selection([], "January", [])
     with pytest.raises(ConfigError, match="--days is ''"):
         parse_selection([], "", [])
+    with pytest.raises(ConfigError, match="begins after its end"):
+        parse_selection([], "2027-01-06..2027-01-05", [])
 
 
 def test_some_grasps_of_each_object_are_the_same_each_time(archived) -> None:

@@ -437,11 +437,12 @@ def test_interfaces_that_cannot_be_opened_say_why(serve, tmp_path: Path) -> None
         ("http", "token_file", "pipe", "pipe: not a plain file"),
         ("http", "tls_key", "pipe", "pipe: not a plain file"),
         ("http", "tls_key", "missing", "missing: not a plain file that can be read"),
+        ("http", "tls_key", "bad", "bad must be PEM files of one certificate and its key"),
         ("xmlrpc", "secret_file", "bad", "no other characters"),
         ("modbus", "secret_file", "long", "at most 64 characters"),
         ("http", "token_file", "short", "at least 16 letters"),
     ):
-        more = {"serve__tls_certificate": "missing"} if key == "tls_key" else {}
+        more = {"serve__tls_certificate": str(tmp_path / "bad")} if key == "tls_key" else {}
         with pytest.raises(CellError, match=says):
             serve(interface, **more, **{f"serve__{key}": str(tmp_path / file)})
 
