@@ -39,8 +39,9 @@ PWM_COUNTS = 3.0
 PENDULUM_SHARE = 0.15
 """Largest difference of the greatest PWM of a pendulum, as a share."""
 _STEP_S = 1e-3
-_SETTLED_S = 0.2
-"""Time in s from the start of a log until the velocity register is full."""
+_LONGEST_S, _SETTLED_S = 0.05, 0.2
+"""Longest time in s between two samples, with a straight motion between them; and the time from the
+start of a log, or the end of a longer gap, until the velocity register is full."""
 _LEAST = 100
 """Least samples of a log."""
 _GRAVITY_M_S2 = 9.81
@@ -75,8 +76,10 @@ def read_logs(path: Path) -> list[Log]:
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
+            arrays |= {n: a.astype(float) for n, a in arrays.items() if a.dtype.kind in "biuf"}
         if "meta" in arrays:
-            logs = [_pendulum(path.stem, arrays, json.loads(str(arrays["meta"][()])))]
+            meta = dict(json.loads(str(arrays["meta"][()])))
+            logs = [_pendulum(path.stem, arrays, meta)]
         else:
             joints = sorted(n[1:] for n in arrays if n[:1] == "q" and n[1:].isdecimal())
             model, stem = _model(path.stem, XM430_W350.name), path.stem
@@ -90,9 +93,11 @@ def read_logs(path: Path) -> list[Log]:
             arrays = [data for data in log if isinstance(data, np.ndarray)]
             if {data.shape for data in arrays} != {(len(log.time_s),)} or len(log.time_s) < _LEAST:
                 raise ValueError(f"its arrays are not of one length of {_LEAST} samples or more")
-            if not np.isfinite(np.concatenate(arrays[:3])).all() or np.diff(log.time_s).min() < 0.0:
-                raise ValueError("its times do not grow, or a value is no number")
-    except (OSError, EOFError, ValueError, KeyError, TypeError, IndexError, BadZipFile) as error:
+            if not np.isfinite([*np.concatenate(arrays[:3]), log.supply_v]).all():
+                raise ValueError("a value is no number")
+            if np.diff(log.time_s).min() < 0.0:
+                raise ValueError("its times do not grow")
+    except (OSError, EOFError, ValueError, LookupError, TypeError, BadZipFile) as error:
         cause = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
         raise BadLog(f"{path} is no log of a servo: {cause}") from error
     return logs
@@ -134,6 +139,7 @@ class Bench:
         settings = {"operating_mode": int(mode)}
         self._core = SimulatedServo(1, log.model, self.motor, settings=settings)
         self._core.registers.put("position_p_gain", log.p_gain)
+        self._core.registers.put("position_d_gain", 0)
         self.motor.place(math.pi + float(log.position_rad[0]))
         self._log, self._inertia = log, log.inertia_kg_m2 + self.motor.inertia_kg_m2
 
@@ -211,8 +217,12 @@ class Row(NamedTuple):
 
 def compared(log: Log) -> list[Row]:
     """Return the comparisons of one log, that of the velocity at first."""
+    time_s = log.time_s
+    begins_s = time_s[np.diff(time_s, prepend=-np.inf) > _LONGEST_S]
+    settled = time_s - begins_s[np.searchsorted(begins_s, time_s, "right") - 1] > _SETTLED_S
+    if not settled.any():
+        raise BadLog(f"{log.name}: its samples must be at most {_LONGEST_S} s apart for a while")
     velocity_rad_s, pwm = Bench(log).run()
-    settled = log.time_s > log.time_s[0] + _SETTLED_S
     speed, error = log.speed_rad_s[settled], (velocity_rad_s - log.speed_rad_s)[settled]
     most = math.hypot(SPEED_RMS_RAD_S[size(log.model)], _ENCODER_SHARE * _rms(speed))
     rows = [Row("velocity", _rms(error), most, "rad/s")]
@@ -252,7 +262,7 @@ def main(effort: float = 1.0, folder: str | None = None) -> None:
                 rows = compared(log)
                 outside += any(not row.met for row in rows)
                 squares.setdefault(size(log.model), []).append(rows[0].value ** 2)
-                line(log.name, ", ".join(str(row) for row in rows))
+                line(log.name, f"{log.model.name}: {', '.join(map(str, rows))}")
         except BadLog as error:
             outside += 1
             line(path.name, f"ERROR {error}")

@@ -219,11 +219,13 @@ def _x330(torque: float, back_emf_v_s: float, winding_ohm: float, inertia_kg_m2:
             kt_nm_a=torque * 0.42,
             back_emf_v_s=back_emf_v_s,
             friction=Friction(
-                base_nm=torque * 0.008,
+                # Without a load 0.10 to 0.12 A at 1 to 5 rad/s (Rhoban/bam, issue 14), and 0.07 A
+                # at the speed of the data sheet.
+                base_nm=torque * 0.024,
                 drive=0.35,
                 load=0.05,
                 load_quadratic_per_nm=1.2 / torque,
-                viscous_nm_s=torque * 0.01,
+                viscous_nm_s=torque * 0.001,
             ),
             inertia_kg_m2=inertia_kg_m2,
             winding_ohm=winding_ohm,

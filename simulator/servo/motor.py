@@ -351,7 +351,7 @@ class ServoMotor:
 
     def torque_nm(self, dt_s: float) -> float:
         """Advance loops and winding by ``dt_s`` s and return kt I in N.m, without friction."""
-        if self._noise is not None:
+        if self._noise is not None and not self._of_supply:
             self._dither = self._noise.dither()
         count = self.sensed_count
         self.velocity_register.step(count, dt_s)

@@ -312,9 +312,11 @@ def test_a_drawn_servo_is_near_its_data_sheet(model):
     typical = drawn_drive(model, None)
     volt = typical.winding_ohm * model.stall_current_a
     assert volt == pytest.approx(model.nominal_voltage_v, rel=0.01)
-    # Less than the whole supply turns it as fast as without load.
-    assert 0.9 < typical.back_emf_v_s * model.no_load_rad_s / volt < 1.0
     law, driving_nm = typical.friction, typical.kt_nm_a * model.stall_current_a
+    volt_per_nm = typical.winding_ohm / (typical.kt_nm_a * (1.0 - law.drive))
+    turning_v_s = typical.back_emf_v_s + volt_per_nm * law.viscous_nm_s
+    no_load_rad_s = (volt - volt_per_nm * law.base_nm) / turning_v_s
+    assert no_load_rad_s == pytest.approx(model.no_load_rad_s, rel=0.05)
     left_nm, load = driving_nm * (1.0 - law.drive) - law.base_nm, 1.0 + law.load
     # Load and its square are what is left: load x + quadratic x² = left.
     root = math.sqrt(load * load + 4.0 * law.load_quadratic_per_nm * left_nm)
