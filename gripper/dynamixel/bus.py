@@ -523,26 +523,26 @@ class ServoBus:
             self.port.start_timeout(_LATE_GUARD_S)
         else:
             self.port.setPacketTimeout(STATUS_OVERHEAD + size)
-        damaged = False
+        damaged = short = False
         while True:
             status = self._handler.receive(self.port)
             self._stray.add(self._handler.dropped)
+            damaged |= bool(self._handler.dropped)
             if status is None:
                 self._outstanding += 1
                 self.misses[servo_id] += 1
-                damaged |= bool(self._handler.dropped)
-                self._counts["corrupt" if damaged else "timeouts"] += 1
-                raise _NoAnswerError(damaged)
+                self._counts["corrupt" if damaged or short else "timeouts"] += 1
+                raise _NoAnswerError(damaged or short)
             # A refusal has no data; any other length is an answer to an earlier request.
             earlier = status.error == 0 and len(status.data) != size
             if status.servo_id == servo_id and not earlier:
-                self._counts["corrupt"] += bool(self._handler.dropped)
+                self._counts["corrupt"] += damaged
                 self.misses[servo_id] = 0
                 self._stray.forget()
                 (self.alerts.add if status.alert else self.alerts.discard)(servo_id)
                 return status
             if status.servo_id == servo_id:
-                damaged = True
+                short = True
                 self._outstanding = max(0, self._outstanding - 1)
             self._counts["late"] += 1
             self._stray.add_packet()

@@ -234,6 +234,10 @@ def test_a_clock_that_is_off_by_three_percent_is_none_that_lags(rate, pauses) ->
     assert refused(lambda _now_s: rate, 60.0, pauses=pauses)[0] == 0
 
 
+def test_a_clock_that_slows_down_as_it_warms_up_is_none_that_lags() -> None:
+    assert refused(lambda now_s: 1.0 - 1e-4 * now_s, 30.0)[0] == 0
+
+
 @pytest.mark.parametrize("rate", [0.97, 1.0, 1.03])
 @pytest.mark.parametrize("begins_s", [2.0, 5.1, 12.0])
 def test_a_lag_of_one_period_is_refused_for_as_long_as_it_lasts(rate, begins_s) -> None:
@@ -260,3 +264,5 @@ def test_the_servos_own_clock_shows_old_answers_and_restarts() -> None:
     assert clock.check(31000, 30.01, 30.011) is not None
     clock.forget()
     assert clock.check(7, 30.02, 30.021) is None
+    assert clock.check(5007, 35.02, 35.021) is None
+    assert clock.check(8007, 35.03, 35.031) is not None

@@ -72,8 +72,9 @@ FRICTION_N, ONE_N_A = 1.5, 0.06 / 1.80
 """Friction of an XM430-W350 at a pad on a link of 60 mm in N, and its current in A for 1 N."""
 
 
-def standing(velocity_rad_s: float) -> ServoFeedback:
+def standing(velocity_rad_s: float, motor_rad_s: float = 0.0) -> ServoFeedback:
     servo = make_servo(angle_rad=0.1, velocity_rad_s=velocity_rad_s, next_rad_s=velocity_rad_s)
+    servo = replace(servo, motor_rad_s=motor_rad_s)
     servos = (servo,) * 2
     return make_state(servos=tuple(replace(s, servo_id=i) for i, s in enumerate(servos, 1)))
 
@@ -161,14 +162,15 @@ def test_no_more_current_is_written_than_the_force_that_is_asked_for_needs(goal,
         assert pushed_a == again_a == [pytest.approx(most_n * ONE_N_A, abs=0.004)] * 2
 
 
-def test_fingers_that_press_keep_a_speed_that_goes_by_no_pad() -> None:
-    """Pads that stand at 0.6 N would allow 30 mm/s."""
+@pytest.mark.parametrize("shares", [(1.0, 0.0), (0.0, 1.0)], ids=["position", "motor"])
+def test_fingers_that_press_keep_a_speed_that_goes_by_no_pad(shares) -> None:
+    """Pads that stand at 0.6 N would allow 30 mm/s. Position or motor shows the speed."""
     writer = make_writer()
     writer.note_force(ForceSample(t_s=0.0, force_n=(0.6, 0.6)))
-    state = standing(velocity_rad_s=-0.025 / 0.06)
+    fast, slow = (standing(*(share * -m_s / 0.06 for share in shares)) for m_s in (0.025, 0.012))
     asked = [ServoGoal(angle_rad=0.05, current_a=0.2, setpoint_n=6.0)] * 2
-    assert all(goal.angle_rad >= 0.1 for goal in writer.bounded(asked, state))
-    assert writer.bounded(asked, standing(velocity_rad_s=-0.012 / 0.06)) == tuple(asked)
+    assert all(goal.angle_rad >= 0.1 for goal in writer.bounded(asked, fast))
+    assert writer.bounded(asked, slow) == tuple(asked)
 
 
 @pytest.mark.parametrize(("friction_sd", "keeps"), [(0.05, True), (0.7, False)])
@@ -186,3 +188,14 @@ def test_known_friction_brakes_a_finger_that_is_slightly_too_fast(
         assert all(goal.angle_rad == 0.05 and 0.1 < goal.current_a < 0.4 for goal in braked)
     else:
         assert all(goal.angle_rad == 0.1 for goal in braked)
+
+
+@pytest.mark.parametrize(("motor_rad_s", "shows"), [(0.0, True), (-0.5, False)])
+def test_a_finger_shows_its_friction_only_if_its_motor_stands_too(motor_rad_s, *, shows) -> None:
+    writer, still = make_writer(replace(PAIR, current_max_a=1.0), Drives()), standing(0.0)
+    asked = [ServoGoal(angle_rad=0.05, current_a=0.9)] * 2
+    before_a = writer.bounded(asked, still)[0].current_a
+    servos = standing(0.0, motor_rad_s).servos
+    pressing = tuple(replace(servo, current_a=-0.6) for servo in servos)
+    writer.bounded(asked, replace(still, servos=pressing))
+    assert (writer.bounded(asked, still)[0].current_a > before_a) == shows

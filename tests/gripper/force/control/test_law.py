@@ -182,13 +182,14 @@ def test_pads_that_do_not_follow_the_current_are_a_fault_and_no_reason_to_push()
         grip.follow(ramp(1.0, 14.0, 10.0, hold_s=3.0))
 
 
-def test_a_zero_that_jumps_is_a_fault_and_moves_nothing() -> None:
+@pytest.mark.parametrize("setpoints_n", [[3.0] * 70, ramp(3.0, 13.0, 20.0)])
+def test_a_zero_that_jumps_is_a_fault_and_moves_nothing(setpoints_n) -> None:
     grip = Grip(3.0)
-    grip.follow([3.0] * 50)
+    before_n = grip.follow(setpoints_n[:20])[-1]
     grip.gain = 2.0
     with pytest.raises(LimitExceeded, match=r"their zero has jumped, or .* the grip kept"):
-        grip.follow([3.0] * 50)
-    assert grip.finger.force_n == pytest.approx(3.0, abs=0.05)
+        grip.follow(setpoints_n[20:])
+    assert grip.finger.force_n == pytest.approx(before_n, abs=0.05)
 
 
 def test_a_force_that_was_predicted_wrongly_has_not_jumped() -> None:

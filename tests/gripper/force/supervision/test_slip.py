@@ -38,6 +38,24 @@ def test_a_sudden_drop_is_a_slip_within_a_tenth_of_a_second() -> None:
     assert 1.0 < now_s < 1.1
 
 
+@pytest.mark.parametrize(
+    ("forces_n", "noise_n"),
+    [
+        # A part that is taken: the force falls on, and the watch of the part tells of its loss.
+        ([4.0] * 80 + [1.5, 0.0, 0.0], 0.13),
+        # A sample between messages before and after that, each quiet enough alone.
+        ([4.0] * 80 + [2.5], 0.05),
+        # The first sample that counts is noise, of a force that has not reached its set-point.
+        ([3.4] * 60 + [4.4] + [3.4] * 20, 0.3),
+    ],
+)
+def test_a_drop_that_goes_on_or_hangs_on_one_sample_is_no_slip(forces_n, noise_n) -> None:
+    watch = SlipWatch(SETTINGS)
+    for i, force_n in enumerate(forces_n):
+        sample = ForceSample(t_s=0.005 * i, force_n=(force_n, force_n), noise_n=noise_n)
+        assert not slips(watch, sample, setpoint_n=4.0)
+
+
 def test_fingers_that_close_after_the_part_show_a_slip() -> None:
     watch = SlipWatch(SETTINGS)
     told = [
