@@ -33,6 +33,8 @@ _BEYOND_CLOSED_RAD, BEYOND_CLOSED_M = 0.08, 0.004
 fingers bend, and the zero is set by hand."""
 _BEYOND_OPEN_RAD = 0.5
 """Limit in rad for a finger beyond its widest opening: a person may have moved it."""
+_BORDER_RAD = 0.01
+"""Distance in rad from a limit at which a finger is surely inside or outside. [chosen]"""
 _CURRENT_RESERVE = 1.5
 """Largest possible current in multiples of its cap and of the stall current: regulation, noise."""
 _CURRENT_MORE_A = 0.3
@@ -178,10 +180,13 @@ class FeedbackCheck:
             angle + _BEYOND_OPEN_RAD for angle in linkage.angles_rad(settings.aperture_open_m)
         )
         self._last: dict[int, tuple[float, float]] = {}
+        self._inside: set[int] = set()
+        """Servos that were inside their range when they were last far from its ends."""
 
     def forget(self) -> None:
         """Compare the next feedback with no earlier one."""
         self._last.clear()
+        self._inside.clear()
         for motor in self.motors.values():
             motor.forget()
 
@@ -263,8 +268,12 @@ class FeedbackCheck:
 
     def _check_range(self, index: int, servo: ServoState, last_rad: float, *, loaded: bool) -> None:
         low_rad, high_rad = self._lowest_rad[index], self._highest_rad[index]
-        # Fingers that a person left outside may be brought back in.
-        if not low_rad <= last_rad <= high_rad or low_rad <= servo.angle_rad <= high_rad:
+        # Fingers that a person left outside may be brought back in; at the border they jitter.
+        if low_rad + _BORDER_RAD <= last_rad <= high_rad - _BORDER_RAD:
+            self._inside.add(index)
+        elif not low_rad - _BORDER_RAD <= last_rad <= high_rad + _BORDER_RAD:
+            self._inside.discard(index)
+        if index not in self._inside or low_rad <= servo.angle_rad <= high_rad:
             return
         stands = f"its finger stands at {servo.angle_rad:.3f} rad"
         can = f"it can be from {low_rad:.3f} to {high_rad:.3f} rad"

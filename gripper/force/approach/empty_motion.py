@@ -352,8 +352,9 @@ class _Finger:
         if not back:
             most_rad = min(most_rad, left_rad + self.overrun_rad)
             ahead_rad = sign * (self._goal_rad - angle_rad) + self._rate_rad_s * dt_s
-        stands = abs(angle_rad - self._stood_rad) < still_rad(model)
-        self.still_s = self.still_s + dt_s if stands and ahead_rad >= most_rad else 0.0
+        jitter_rad = still_rad(model)
+        stands = abs(angle_rad - self._stood_rad) < jitter_rad and ahead_rad > most_rad - jitter_rad
+        self.still_s = self.still_s + dt_s if stands else 0.0
         if self.still_s == 0.0:
             self._stood_rad = angle_rad
         goal_rad = angle_rad + sign * min(ahead_rad, most_rad)

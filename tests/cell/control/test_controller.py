@@ -67,6 +67,14 @@ def test_each_frame_has_the_opening_and_the_set_point_of_its_period(bench: Any) 
     assert pressed[-1].max() > pressed[0].max() + 40
 
 
+@pytest.mark.parametrize("seed", [5, 10])
+def test_a_stiff_finger_that_a_person_left_open_is_brought_back(make_bench, seed: int) -> None:
+    bench = make_bench(quick_config(seed=seed))
+    bench.simulated.devices.mechanics.move_by_hand(0, 0.02)
+    bench.clock.sleep(1.0)
+    assert bench.start().aperture_m == pytest.approx(0.012, abs=1e-3)
+
+
 def test_a_machine_clock_set_back_leaves_the_grasps_in_order(bench, monkeypatch) -> None:
     bench.controller.start()
     bench.controller.moves.present("box")

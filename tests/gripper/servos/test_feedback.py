@@ -97,6 +97,14 @@ def test_a_steady_motion_out_of_the_range_keeps_what_the_pads_hold(loaded: bool)
     assert bool(check.strayed) != loaded
 
 
+def test_a_finger_that_a_person_left_outside_may_jitter_across_the_border() -> None:
+    check = FeedbackCheck(Mechanics(GripperSettings(), ParallelLinkage(link_m=0.06)))
+    for n, angle_rad in enumerate([-0.095, -0.085, *[-0.0815, -0.079] * 50, -0.06]):
+        (servo,) = moving([0.0], at_rad=angle_rad)
+        check.check((servo,), n * PERIOD_S, loaded=True)
+    assert not check.strayed
+
+
 @pytest.mark.parametrize("loaded", [True, False])
 @pytest.mark.parametrize(("leap_rad", "possible"), [(0.45, True), (0.55, False)])
 def test_a_leap_is_what_one_and_a_half_times_the_no_load_speed_cannot_make(
