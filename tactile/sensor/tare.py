@@ -117,7 +117,8 @@ def compute_tare(
             smooth - layout.medians(smooth)[layout.taxel_pad],
             limits.bump_share,
             "pad {place} reads {counts:.1f} counts more than the rest of its pad, allowed are "
-            "{limit:.1f}: something touches the pad; clear it and try again",
+            "{limit:.1f}: something touches the pad, so clear it and try again; or this part of it "
+            "is worn, so replace the pad",
         ),
         (
             np.abs(hood.mean(fill_bad(hood, change, health.bad))),
