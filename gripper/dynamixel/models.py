@@ -122,7 +122,7 @@ class ServoModel:
     def current_counts(
         self, winding_a: float, supply_v: float | None = None, against_rad_s: float = 0.0
     ) -> float:
-        """Return counts of a current item, not rounded, for a winding's current in A from 0 up.
+        """Return the unrounded counts of a current item for a winding's current in A (0 or more).
 
         Where they count the current of the supply, a motor at rest needs R i² / V. The back-EMF of
         a motion that goes with the current is left out: a part that stops the finger ends it before

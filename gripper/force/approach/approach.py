@@ -190,8 +190,9 @@ class _Finger:
     """One finger: its brake, where it waits after its touch, and its currents where it is now."""
 
     servo: ServoSettings
+    """Its servo."""
     least_rad: float
-    """Its servo, and the most closed goal in rad."""
+    """Its most closed goal in rad."""
     braked_s: float | None = None
     drive_n: float = _CREEP_N
     waits_rad: float | None = None

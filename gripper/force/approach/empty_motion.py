@@ -1,7 +1,6 @@
 """Motions of fingers that hold nothing: they stand still, and they move to an opening."""
 
 from math import inf
-from operator import gt
 
 from gripper import errors
 from gripper.force.approach.mechanics_proof import mechanics_text
@@ -87,6 +86,8 @@ class StandStill:
 class MoveTo:
     """Step of control that moves all servos to an opening, at the same speed.
 
+    A closing motion waits while a finger runs open faster than its current can brake.
+
     Parameters
     ----------
     mechanics
@@ -135,9 +136,9 @@ class MoveTo:
             )
         ]
         self._begun_s = state.t_s
-        self._ran_s = state.t_s if not self._opening and self._runs(state) else -inf
         self._deadline_s = state.t_s + _PATIENCE_S
         self._set_currents(mechanics.transmissions(state.angles_rad))
+        self._ran_s = state.t_s if self._coasts(state) else -inf
 
     def _set_currents(self, paths: tuple[Transmission, ...]) -> None:
         settings = self._settings
@@ -171,10 +172,10 @@ class MoveTo:
                 f"together. They stand still; take the part out by hand, then check "
                 f"{mechanics_text(self._mechanics)}"
             )
-        if moment.now_s < min(self._ran_s + BRIEF_S, self._deadline_s):
-            # The small current of a closing motion hardly brakes fingers that still run open.
-            if self._runs(moment.state):
+        if moment.now_s < self._ran_s + BRIEF_S:
+            if self._coasts(moment.state):
                 self._ran_s = moment.now_s
+            self._deadline_s = moment.now_s + _PATIENCE_S
             return Action()
         self._look(moment)
         passed_s = moment.now_s - self._begun_s
@@ -203,10 +204,15 @@ class MoveTo:
             )
         return Action(goals=goals, done=arrived)
 
-    def _runs(self, state: ServoFeedback) -> bool:
-        models = (servo.servo_model for servo in self._settings.servos)
-        speeds_rad_s = (abs(servo.velocity_rad_s) for servo in state.servos)
-        return any(map(gt, speeds_rad_s, map(slow_rad_s, models)))
+    def _coasts(self, state: ServoFeedback) -> bool:
+        """Return whether a finger runs open too fast for the current of this closing motion."""
+        for finger, servo in zip(self._fingers, state.servos, strict=True):
+            drive = self._mechanics.drives.of(finger.servo)
+            inertia_a_s2 = drive.inertia_a_s2(finger.servo.servo_model)
+            way_rad = 0.5 * inertia_a_s2 * servo.velocity_rad_s**2 / finger.current_a
+            if not self._opening and servo.velocity_rad_s > 0.0 and way_rad > _MOVED_RAD:
+                return True
+        return False
 
     def _look(self, moment: Moment) -> None:
         """Use the newest friction of each finger, and extend the time of fingers that run."""

@@ -126,8 +126,11 @@ def test_fingers_of_a_small_pinion_meet_softly_and_do_not_run_open_too_far(
     """A release ends while they run, and the next motion has little current to brake them."""
     config = load_config(Path(__file__).parents[3] / "config/open-parallel-gripper.yaml")
     bench = make_bench(changed_config(config, {"seed": seed}))
+    openings_m: list[float] = []
+    bench.clock.on_advance.append(lambda _now_s: openings_m.append(bench.aperture_m))
     zero = bench.start().controller.zeroing.measure().zero
     assert zero.opening_m * 1e3 == pytest.approx(0.0, abs=0.1)
+    assert max(openings_m) < config.gripper_settings.aperture_open_m + 1.5e-3
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ def test_a_sudden_drop_is_a_slip_within_a_tenth_of_a_second() -> None:
 @pytest.mark.parametrize(
     ("forces_n", "noise_n"),
     [
-        # A part that is taken: the force falls on, and the watch of the part tells of its loss.
+        # A part that is taken: the force falls on, and the watch of the part reports its loss.
         ([4.0] * 80 + [1.5, 0.0, 0.0], 0.13),
         # A sample between messages before and after that, each quiet enough alone.
         ([4.0] * 80 + [2.5], 0.05),
