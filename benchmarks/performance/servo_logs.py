@@ -42,6 +42,8 @@ _STEP_S = 1e-3
 _LONGEST_S, _SETTLED_S = 0.05, 0.2
 """Longest time in s between two samples, with a straight motion between them; and the time from the
 start of a log, or the end of a longer gap, until the velocity register is full."""
+_MOST_S = 3600.0
+"""Longest time in s of a log."""
 _LEAST = 100
 """Least samples of a log."""
 _GRAVITY_M_S2 = 9.81
@@ -95,8 +97,8 @@ def read_logs(path: Path) -> list[Log]:
                 raise ValueError(f"its arrays are not of one length of {_LEAST} samples or more")
             if not np.isfinite([*np.concatenate(arrays[:3]), log.supply_v]).all():
                 raise ValueError("a value is no number")
-            if np.diff(log.time_s).min() < 0.0:
-                raise ValueError("its times do not grow")
+            if np.diff(log.time_s).min() < 0.0 or np.ptp(log.time_s) > _MOST_S:
+                raise ValueError(f"its times in s do not grow, or last longer than {_MOST_S:g} s")
     except (OSError, EOFError, ValueError, LookupError, TypeError, BadZipFile) as error:
         cause = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
         raise BadLog(f"{path} is no log of a servo: {cause}") from error

@@ -75,7 +75,7 @@ class Transmission:
         return force_n / self.n_per_a + self.drive.breakaway_a
 
     def loaded_n(self, current_a: float) -> float:
-        """Return the grip force in N up to which a current drives it: `loading_current_a`, inverted."""
+        """Return the force in N, 0 or more, that a current reaches: inverts `loading_current_a`."""
         return max(0.0, current_a * self.n_per_a - self.friction_n)
 
     def pressing_n(self, current_a: float) -> float:
