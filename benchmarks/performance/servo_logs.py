@@ -16,12 +16,12 @@ import json
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks._measure import line
+from cell.files import DAMAGE
 from gripper.dynamixel.models import MODELS, XM430_W350, OperatingMode, ServoModel
 from simulator.servo.control_table import is_x330
 from simulator.servo.device import SimulatedServo
@@ -95,11 +95,16 @@ def read_logs(path: Path) -> list[Log]:
             arrays = [data for data in log if isinstance(data, np.ndarray)]
             if {data.shape for data in arrays} != {(len(log.time_s),)} or len(log.time_s) < _LEAST:
                 raise ValueError(f"its arrays are not of one length of {_LEAST} samples or more")
-            if not np.isfinite([*np.concatenate(arrays[:3]), log.supply_v]).all():
+            values = [log.supply_v, log.torque_nm, log.inertia_kg_m2]
+            goal_rad = [] if log.goal_rad is None else log.goal_rad
+            if (
+                np.isinf(goal_rad).any()
+                or not np.isfinite([*np.concatenate(arrays[:3]), *values]).all()
+            ):
                 raise ValueError("a value is no number")
             if np.diff(log.time_s).min() < 0.0 or np.ptp(log.time_s) > _MOST_S:
                 raise ValueError(f"its times in s do not grow, or last longer than {_MOST_S:g} s")
-    except (OSError, EOFError, ValueError, LookupError, TypeError, BadZipFile) as error:
+    except (*DAMAGE, OSError) as error:
         cause = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
         raise BadLog(f"{path} is no log of a servo: {cause}") from error
     return logs

@@ -275,6 +275,7 @@ class FeedbackCheck:
             self._inside.discard(index)
         if index not in self._inside or low_rad <= servo.angle_rad <= high_rad:
             return
+        self._inside.discard(index)  # it is reported once: a grip that is kept is still controlled
         stands = f"its finger stands at {servo.angle_rad:.3f} rad"
         can = f"it can be from {low_rad:.3f} to {high_rad:.3f} rad"
         if loaded:
