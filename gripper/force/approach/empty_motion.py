@@ -142,7 +142,10 @@ class MoveTo:
 
     def _set_currents(self, paths: tuple[Transmission, ...]) -> None:
         settings = self._settings
-        force_n = OPENING_N if self._opening else settings.approach_force_n
+        force_n = settings.approach_force_n
+        if self._opening:  # a weak hand opens with what its current allows
+            most_a = (1.0 - 1e-9) * settings.current_max_a
+            force_n = min(OPENING_N, *(path.loaded_n(most_a) for path in paths))
         without_force_a = self._mechanics.motion_currents_a(paths, 0.0)
         currents_a = self._mechanics.motion_currents_a(paths, force_n)
         for finger, path, least_a, current_a in zip(
@@ -358,9 +361,10 @@ class _Finger:
         if not back:
             most_rad = min(most_rad, left_rad + self.overrun_rad)
             ahead_rad = sign * (self._goal_rad - angle_rad) + self._rate_rad_s * dt_s
-        jitter_rad = still_rad(model)
-        stands = abs(angle_rad - self._stood_rad) < jitter_rad and ahead_rad > most_rad - jitter_rad
-        self.still_s = self.still_s + dt_s if stands else 0.0
+        stands = abs(angle_rad - self._stood_rad) < still_rad(model)
+        # A count of jitter is no motion.
+        at_limit = ahead_rad >= most_rad - model.rad_per_pulse
+        self.still_s = self.still_s + dt_s if stands and at_limit else 0.0
         if self.still_s == 0.0:
             self._stood_rad = angle_rad
         goal_rad = angle_rad + sign * min(ahead_rad, most_rad)
