@@ -458,7 +458,7 @@ def test_the_contract_holds_over_real_ports_and_never_touches_a_held_part(cell_p
     count = {word: int(number) for number, word in re.findall(r"(\d+) (\w+)", last)}
     # The rows that -k leaves out are the same tests on the simulator.
     assert count["passed"] + count["skipped"] == count["deselected"], last
-    assert count["passed"] > 20, last
+    assert count["passed"] >= 20, last
     assert "needs torque: --allow-motion" in result.stdout
 
     with servos_of(cell) as bus:
