@@ -29,7 +29,7 @@ def name_recorded(source: Path, label: str, dataset: Path, series: str = "") -> 
             f"{source}: each of its grasps has a label; use it with `model train` directly"
         )
     with _extending(dataset, grasps[0].pads) as before:
-        new = distinct_grasps([*before, *grasps])[len(distinct_grasps(before)) :]
+        new = distinct_grasps(grasps, before)
         if not new:
             raise CellError(f"{source}: {dataset} has each of its grasps without a label already")
         named = (replace(grasp, label=label, series=series) for grasp in new)
@@ -54,12 +54,16 @@ def read_labelled_grasps(path: Path, note: Callable[[str], None]) -> tuple[Grasp
     return named
 
 
-def distinct_grasps(grasps: Sequence[Grasp]) -> list[Grasp]:
+def distinct_grasps(grasps: Sequence[Grasp], before: Sequence[Grasp] = ()) -> list[Grasp]:
     """Return the grasps without those that repeat an earlier one: same time, same frames."""
-    first: dict[tuple[int, int], Grasp] = {}
+
+    def key(grasp: Grasp) -> tuple[int, int]:
+        return grasp.start_ms, hash(grasp.counts.tobytes())
+
+    known, first = set(map(key, before)), dict[tuple[int, int], Grasp]()
     for grasp in grasps:
-        first.setdefault((grasp.start_ms, hash(grasp.counts.tobytes())), grasp)
-    return list(first.values())
+        first.setdefault(key(grasp), grasp)
+    return [grasp for found, grasp in first.items() if found not in known]
 
 
 def dataset_to_extend(path: Path, pads: PadArray) -> tuple[Grasp, ...]:

@@ -172,11 +172,8 @@ class ForceRamp:
 
 def largest_ramp_n(mechanics: Mechanics) -> float:
     """Return the force in N up to which cap and current allow a ramp, at any opening."""
-    settings = mechanics.settings
-    # Slightly less than the whole current, because of rounding.
-    current_a = (1.0 - 1e-9) * settings.current_max_a
-    by_current_n = (path.loaded_n(current_a) for path in mechanics.end_transmissions())
-    return min(settings.grasp_force_limit_n, *by_current_n)
+    by_current_n = mechanics.loaded_n(mechanics.end_transmissions())
+    return min(mechanics.settings.grasp_force_limit_n, by_current_n)
 
 
 def check_ramp(ramp: ForceRamp, mechanics: Mechanics) -> None:

@@ -197,6 +197,12 @@ class Mechanics:
         reach_m = self.linkage.opening_per_rad_m(self.linkage.angles_rad(0.0)[0])
         return [reach_m * servo.servo_model.rad_per_pulse for servo in self.settings.servos]
 
+    def loaded_n(self, paths: Sequence[Transmission]) -> float:
+        """Return the force in N, 0 or more, up to which the whole current drives all fingers."""
+        # Slightly less than the whole current, because of rounding.
+        current_a = (1.0 - 1e-9) * self.settings.current_max_a
+        return min(path.loaded_n(current_a) for path in paths)
+
     def motion_currents_a(self, paths: Sequence[Transmission], force_n: float) -> list[float]:
         """Return the current in A that moves each finger freely and presses with ``force_n`` N.
 

@@ -144,8 +144,7 @@ class MoveTo:
         settings = self._settings
         force_n = settings.approach_force_n
         if self._opening:  # a weak hand opens with what its current allows
-            most_a = (1.0 - 1e-9) * settings.current_max_a
-            force_n = min(OPENING_N, *(path.loaded_n(most_a) for path in paths))
+            force_n = min(OPENING_N, self._mechanics.loaded_n(paths))
         without_force_a = self._mechanics.motion_currents_a(paths, 0.0)
         currents_a = self._mechanics.motion_currents_a(paths, force_n)
         for finger, path, least_a, current_a in zip(
@@ -209,11 +208,13 @@ class MoveTo:
 
     def _coasts(self, state: ServoFeedback) -> bool:
         """Return whether a finger runs open too fast for the current of this closing motion."""
+        if self._opening:
+            return False
         for finger, servo in zip(self._fingers, state.servos, strict=True):
             drive = self._mechanics.drives.of(finger.servo)
             inertia_a_s2 = drive.inertia_a_s2(finger.servo.servo_model)
             way_rad = 0.5 * inertia_a_s2 * servo.velocity_rad_s**2 / finger.current_a
-            if not self._opening and servo.velocity_rad_s > 0.0 and way_rad > _MOVED_RAD:
+            if servo.velocity_rad_s > 0.0 and way_rad > _MOVED_RAD:
                 return True
         return False
 
