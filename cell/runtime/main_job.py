@@ -34,7 +34,7 @@ class MainResult:
     n_taught: int
     """Number of taught grasps."""
     seconds: float
-    """Duration in s."""
+    """Duration in s of teaching and identification."""
     scores: dict[str, ConfusionTable]
     """Answers counted, by recognizer."""
     parts: tuple[Part, ...]

@@ -127,7 +127,7 @@ def result_lines(result: MainResult, true_sizes: Mapping[str, str]) -> Iterator[
     for name, path in files.items():
         if path is not None:
             yield f"{name + ':':<10} {path}"
-    yield f"The whole run took {result.seconds:.0f} s."
+    yield f"Teaching and identification took {result.seconds:.0f} s."
 
 
 def confusion_table(labels: Sequence[str], confusion: Sequence[Sequence[float]]) -> Table:
