@@ -8,9 +8,9 @@ from gripper.values.force_sensor import FRAME_S
 SURE_SDS = 3.0
 """Standard deviations of a difference that is no noise. The next samples correct a wrong decision.
 [statistics]"""
-FAULT_SDS = 5.5
-"""Standard deviations of a difference that is a fault: less than one false alarm in an hour, for
-two coordinates and 200 samples a second. [statistics]"""
+FAULT_SDS = 7.0
+"""Standard deviations of a difference that is a fault: less than one false alarm in 1000 hours, for
+two coordinates, 200 samples a second, and 6 % more noise than the sensor states. [statistics]"""
 PRESENT_SHARE = 0.5
 """Share of an expected force above which it counts as present. [chosen]"""
 EMPTY_SHARE = 0.25
