@@ -173,6 +173,8 @@ class LoopProcess:
             f"carried. Look at the part, then clear the fault: a new process starts and moves "
             f"nothing"
         )
+        # A process that hangs would not end by itself.
+        self._process.kill()
         self.abandon(lost)
         raise lost
 
@@ -235,6 +237,7 @@ class HandProcess:
         self._answer_s = 2.0 * _SILENCE_S + 4.0 * config.tactile.startup_timeout_s
         self._number = 0
         self._phase = GripperPhase.OFF
+        self._earlier_part = False
         self._loop = LoopProcess(config, partial=partial)
         self.statistics = self._loop.ready.statistics
         """Counters as of the last command."""
@@ -246,10 +249,12 @@ class HandProcess:
 
     @property
     def phase(self) -> GripperPhase:
-        """Last phase of the gripper; after a loss of the process, whether a part may be held."""
-        if self._loop.lost is not None and self._phase not in _AT_REST:
-            return GripperPhase.HELD_AFTER_FAULT
-        return self._phase
+        """Last phase of the gripper; after a loss of the process, whether a part may be held.
+
+        It may be until a new process has read the servos.
+        """
+        lost = self._loop.lost is not None and self._phase not in _AT_REST
+        return GripperPhase.HELD_AFTER_FAULT if lost or self._earlier_part else self._phase
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -333,12 +338,12 @@ class HandProcess:
     def clear_fault(self, *, reboot: bool) -> None:
         """Acknowledge a fault; replace a lost process by a new one, which moves nothing."""
         if self._loop.lost is not None:
+            self._earlier_part = self.phase not in _AT_REST
             # What is missing of the lines is no hindrance to let go.
             self._loop = LoopProcess(self._config, partial=True)
             self._heard_s = time.monotonic()
-            if not reboot and not self.missing:
-                return
         self._call(Hand.clear_fault, reboot=reboot)
+        self._earlier_part = False
 
     def request_stop(self) -> None:
         """Stop the running command with GraspStopped."""
@@ -373,7 +378,8 @@ class HandProcess:
         self._number += 1
         request = HandRequest(number=self._number, method=method.__name__, arguments=arguments)
         self._loop.send(request)
-        patience_s = self._silence_s if request.watched else self._answer_s
+        quick = request.watched or method in (Hand.shutdown, Hand.read_drives)
+        patience_s = self._silence_s if quick else self._answer_s
         failure: BaseException | None = None
         while True:
             try:

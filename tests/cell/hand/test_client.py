@@ -179,11 +179,10 @@ class Loop(LoopProcess):
     """The client's end of a line; the server carries each request out as soon as it is sent."""
 
     made: ClassVar[list["Loop"]] = []
-    missing: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, _config: CellConfig, *, partial: bool = False) -> None:
         del partial
-        self.ready = Ready(notes=("a note",), missing=self.missing, statistics=HAND_STATISTICS)
+        self.ready = Ready(notes=("a note",), missing=(), statistics=HAND_STATISTICS)
         self.lost: HandLost | None = None
         self._watchdog_ms, self._stopping, self._stop_fd = 100.0, threading.RLock(), -1
         self._process: Any = Mock(pid=4711, returncode=-9)
@@ -297,8 +296,7 @@ def test_a_fault_that_nobody_asked_for_does_not_spoil_the_end(loop, hand) -> Non
     assert [request.method for request in loop.sent] == ["shutdown"] * 2
 
 
-@pytest.mark.parametrize("missing", [(), ("no port",)])
-def test_a_lost_process_is_told_until_it_is_cleared(loop, hand, missing, monkeypatch) -> None:
+def test_a_lost_process_is_told_until_another_has_read_the_servos(loop, hand, monkeypatch) -> None:
     loop.line.hand.grasped = [make_cycle(), loop.line.far.close]
     with pytest.raises(HandLost, match=r"\(pid 4711\) was ended by SIGKILL; a part may still be"):
         hand.grasp(RAMP, nothing)
@@ -308,11 +306,17 @@ def test_a_lost_process_is_told_until_it_is_cleared(loop, hand, missing, monkeyp
             call()
     hand.stop_sensor()
     assert hand.shutdown() == ""
-    monkeypatch.setattr(Loop, "missing", missing)
+    monkeypatch.setattr(FakeHand, "phase", GripperPhase.OFF)
+    monkeypatch.setattr(FakeHand, "clear_fault", raising(BusTimeout("silent")), raising=False)
+    with pytest.raises(BusTimeout):
+        hand.clear_fault(reboot=False)
+    assert hand.shutdown() == ""
+    assert hand.phase is GripperPhase.HELD_AFTER_FAULT, "nobody has read the servos"
+    monkeypatch.delattr(FakeHand, "clear_fault")
     hand.clear_fault(reboot=False)
+    assert hand.phase is GripperPhase.OFF
     _, again = Loop.made
-    assert [request.method for request in again.sent] == ["clear_fault"] * len(missing)
-    hand.start()
+    assert [request.method for request in again.sent] == ["clear_fault", "shutdown", "clear_fault"]
 
 
 def test_a_process_that_says_that_it_ends_is_lost(loop, hand) -> None:
