@@ -22,7 +22,7 @@ from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspOutcome, ReleaseReport
 from gripper.values.state import Cycle, GripperPhase, TimeSpan
 from tactile.can.bus import CanBus, MissingBus, open_bus
-from tactile.errors import ZeroDrifted
+from tactile.errors import BusOff, ZeroDrifted
 from tactile.sensor.grip_force import GripForce
 from tactile.sensor.sensor import TactileReading, TactileSensor
 from tactile.sensor.settings import SensorSettings
@@ -96,7 +96,6 @@ class LocalHand:
         self.end_ramp = gripper.end_ramp
         self.keep_grip = gripper.keep_grip
         self.request_stop = gripper.request_stop
-        self.start_sensor: Callable[[], SourceIdentity] = sensor.start
         self.stop_sensor = sensor.stop
 
     @property
@@ -118,6 +117,15 @@ class LocalHand:
     def largest_ramp_n(self) -> float:
         """Largest force in N of a ramp; see `Hand`."""
         return largest_ramp_n(self.gripper.mechanics)
+
+    def start_sensor(self) -> SourceIdentity:
+        """Start the tactile link; see `Hand`."""
+        try:
+            return self.sensor.start()
+        except BusOff:
+            # A link at rest did not see that its adapter was exchanged: this start opens it anew.
+            self.stop_sensor()
+            return self.sensor.start()
 
     def open(self, watch: OnPeriod) -> None:
         """Open the empty fingers; see `Hand`."""

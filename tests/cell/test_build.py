@@ -40,7 +40,14 @@ from recognition.recognizers import RECOGNIZERS as BUILT_IN
 from simulator.cell import SimulatedCell
 from simulator.servo.gearing import data_sheet_drive
 from simulator.settings import SimulatorSettings
-from tactile.errors import BusNotOpened, FrameTimeout, LinkStateError, PluginFault, TactileError
+from tactile.errors import (
+    BusNotOpened,
+    BusOff,
+    FrameTimeout,
+    LinkStateError,
+    PluginFault,
+    TactileError,
+)
 from tactile.layout import inner_pads, pinch_layout
 from tactile.sensor.settings import SensorSettings
 from tactile.source import (
@@ -438,6 +445,13 @@ def test_a_clear_opens_a_port_that_turns_out_to_be_lost() -> None:
     hand.gripper.clear_fault.side_effect = [PortLost("gone"), None]
     LocalHand.clear_fault(hand, reboot=False)
     hand.bus.port.use.assert_called_once_with(hand._lines.reopen_servos())
+
+
+def test_a_start_opens_an_adapter_anew_that_was_exchanged_meanwhile() -> None:
+    hand = Mock()
+    hand.sensor.start.side_effect = [BusOff("gone"), "identity"]
+    assert LocalHand.start_sensor(hand) == "identity"
+    hand.stop_sensor.assert_called_once_with()
 
 
 def test_ends_of_somebody_else_are_not_closed(openers) -> None:
