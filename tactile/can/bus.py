@@ -454,7 +454,7 @@ class ThreadedReceiver(PolledSource):
         if silent_s > _HANG_S:
             raise ReceiveLoopDead(
                 f"the receive thread did not come round for {silent_s:.2f} s, allowed are "
-                f"{_HANG_S:g} s: the CAN driver hangs; unplug the adapter and start again"
+                f"{_HANG_S:g} s: the CAN driver or this process hung; replug the adapter and start"
             )
         queue = self._queue
         return [queue.popleft() for _ in range(len(queue))]
