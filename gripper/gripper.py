@@ -359,6 +359,7 @@ class Gripper:
                 state = self._runner.run(HoldStep(self.settings, control, hold_s).step)
             self._servos.disarm_watchdog()
         carrying = HoldStep(self.settings, control, inf)
+        control.grip.carried_m = state.aperture_m
         self._carried = self._runner.start_command(carrying.step, now_s=state.t_s)
         return state
 

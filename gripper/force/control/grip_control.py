@@ -60,7 +60,7 @@ class DriveGoals:
         self._limit(state, paths, friction_n)
         goals = []
         self._deepest_rad = tuple(map(min, self._deepest_rad, state.angles_rad))
-        if state.aperture_m < grip.touch_m:
+        if state.aperture_m < min(grip.touch_m, grip.carried_m):
             self._stop_rad = None
         elif self._stop_rad is None:
             self._stop_rad = state.angles_rad
@@ -210,6 +210,8 @@ class GripControl:
         setpoint_n = min(setpoint_n, borne_n)
         rises_n = setpoint_n - grip.setpoint_n
         grip.setpoint_n = setpoint_n
+        if rises_n != 0.0:
+            grip.carried_m = inf
         grip.apertures.add(moment.now_s, state.aperture_m)
         if sample is not None:
             self.watch.pads.take(sample)
