@@ -162,7 +162,7 @@ class Grip:
     """Opening in m at which both pads were first loaded: the fingers are not driven open beyond it,
     however much force the pads report."""
     carried_m: float = inf
-    """The same for a carried part, until its set-point changes: a zero that drifts must not open."""
+    """The same for a carried part, until its set-point changes: a drifting zero must not open."""
     apertures: History = field(default_factory=History)
     """Opening of the last periods in m."""
     force_n: float
