@@ -10,7 +10,7 @@ SURE_SDS = 3.0
 [statistics]"""
 FAULT_SDS = 7.0
 """Standard deviations of a difference that is a fault: less than one false alarm in 1000 hours, for
-two coordinates, 200 samples a second, and 6 % more noise than the sensor states. [statistics]"""
+two coordinates and 200 samples a second, if the noise is as stated within 6 %. [statistics]"""
 PRESENT_SHARE = 0.5
 """Share of an expected force above which it counts as present. [chosen]"""
 EMPTY_SHARE = 0.25
