@@ -238,6 +238,7 @@ class HandProcess:
         self._number = 0
         self._phase = GripperPhase.OFF
         self._earlier_part = False
+        """Whether a lost process may have left a part that its successor has not looked for."""
         self._loop = LoopProcess(config, partial=partial)
         self.statistics = self._loop.ready.statistics
         """Counters as of the last command."""

@@ -8,9 +8,6 @@ from gripper.values.force_sensor import FRAME_S
 SURE_SDS = 3.0
 """Standard deviations of a difference that is no noise. The next samples correct a wrong decision.
 [statistics]"""
-FAULT_SDS = 7.0
-"""Standard deviations of a difference that is a fault: less than one false alarm in 1000 hours, for
-two coordinates and 200 samples a second, if the noise is as stated within 6 %. [statistics]"""
 PRESENT_SHARE = 0.5
 """Share of an expected force above which it counts as present. [chosen]"""
 EMPTY_SHARE = 0.25

@@ -25,7 +25,7 @@ from statistics import fmean
 
 from gripper.dynamixel.drive import SIGMAS
 from gripper.errors import LimitExceeded
-from gripper.force.certainty import FAULT_SDS, PRESENT_SHARE, STEADY_S, SURE_SDS, YOUNG_S
+from gripper.force.certainty import PRESENT_SHARE, STEADY_S, SURE_SDS, YOUNG_S
 from gripper.force.control.observer import GripObserver
 from gripper.force.estimates.grip import Grip, History
 from gripper.force.loop import Moment
@@ -56,6 +56,8 @@ _STRONGER, _WEAKER = 1.15, 0.98
 """Factors on the assumed stiction after a push without, and with, effect. [chosen]"""
 _LEAST_OPENING_SHARE = 0.3
 """Least friction of opening fingers over that of closing ones. [chosen]"""
+_MISSING_SDS = 2.0 * SURE_SDS
+"""Standard deviations of the servos' force that are no uncertainty of them. [statistics]"""
 _MOST_MISSING_N = 3.0
 """Largest missing drive in N, beside the friction and the uncertainty of the servos. [chosen]"""
 
@@ -384,7 +386,7 @@ class ForceLaw:
         """Raise LimitExceeded when the drive lacks more than is plausible for some time."""
         missing_n, force_n = self.observer.missing_n, self.observer.force_n
         force_sd_n = max(path.force_sd_n(period.setpoint_n) for path in period.paths)
-        limit_n = _MOST_MISSING_N + period.friction_n + FAULT_SDS * force_sd_n
+        limit_n = _MOST_MISSING_N + period.friction_n + _MISSING_SDS * force_sd_n
         plausible = abs(missing_n) <= limit_n
         self._contradicted_s = 0.0 if plausible else self._contradicted_s + period.moment.dt_s
         if self._contradicted_s > STEADY_S:

@@ -8,7 +8,7 @@ from statistics import fmean
 from typing import NamedTuple
 
 from gripper.errors import PartSlipped
-from gripper.force.certainty import BRIEF_S, FAULT_SDS, PRESENT_SHARE, STEADY_S, YOUNG_S
+from gripper.force.certainty import BRIEF_S, PRESENT_SHARE, STEADY_S, YOUNG_S
 from gripper.force.loop import Moment
 from gripper.force.supervision.part_watch import CREEP_M
 from gripper.settings import GripperSettings
@@ -20,6 +20,9 @@ _SLIDE_RECENT_S = 1.5 * FRAME_S
 """Duration in s of the present centre of the force: 2 samples at 50 Hz."""
 _SLIDE_BEFORE_S = 0.2
 """Duration in s of the centre before it, from which a sudden motion is measured. [tuned]"""
+_SLIDE_SDS = 7.0
+"""Standard deviations of a slide: less than one false alarm in 1000 hours, for two coordinates and
+200 samples a second, if the noise is as stated within 6 %. [statistics]"""
 _SLIDE_FIRST_S = 3.5 * FRAME_S
 """Time in s of samples, at least, before a centre is compared with theirs: 4 samples at 50 Hz."""
 
@@ -130,7 +133,7 @@ class _Centre(NamedTuple):
     def beyond_m(self, other: "_Centre", allowed_m: float) -> float:
         """Return the distance in m; 0 if it is allowed or within the noise."""
         way_m = hypot(self.x_m - other.x_m, self.y_m - other.y_m)
-        noise_m = FAULT_SDS * sqrt(self.variance_m2 + other.variance_m2)
+        noise_m = _SLIDE_SDS * sqrt(self.variance_m2 + other.variance_m2)
         return way_m if way_m > max(allowed_m, noise_m) else 0.0
 
 

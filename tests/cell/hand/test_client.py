@@ -317,6 +317,7 @@ def test_a_lost_process_is_told_until_another_has_read_the_servos(loop, hand, mo
     assert hand.phase is GripperPhase.OFF
     _, again = Loop.made
     assert [request.method for request in again.sent] == ["clear_fault", "shutdown", "clear_fault"]
+    hand.start()
 
 
 def test_a_process_that_says_that_it_ends_is_lost(loop, hand) -> None:
