@@ -1,7 +1,7 @@
 """Detection of a held part that slips: by its force, the travel of the fingers, or its position."""
 
 from collections import deque
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from math import exp, hypot, sqrt
 from statistics import fmean
@@ -118,22 +118,30 @@ class SlipWatch:
 
 
 class _Centre(NamedTuple):
-    """Mean of centres of force in m, and the variance of each coordinate in m²."""
+    """Mean of ``n`` centres of force in m, and the variance of each of their coordinates in m²."""
 
     x_m: float
     y_m: float
     variance_m2: float
+    n: int
 
     @classmethod
-    def of(cls, samples: Collection[ForceSample]) -> "_Centre":
+    def of(cls, samples: Sequence[ForceSample], *, scatter: bool = False) -> "_Centre":
         x_m, y_m = zip(*(sample.centre_m for sample in samples if sample.centre_m), strict=True)
-        variances_m2 = [sample.centre_noise_m**2 for sample in samples]
-        return cls(fmean(x_m), fmean(y_m), fmean(variances_m2) / len(variances_m2))
+        variance_m2 = fmean([sample.centre_noise_m**2 for sample in samples])
+        if scatter and len(samples) > 1 and samples[0].frame_s is not None:
+            # A unit may sum more taxels for its messages than its frames show as touched. A slide
+            # hardly adds to the differences of successive messages (von Neumann 1941).
+            for all_m in (x_m, y_m):
+                shown_m2 = 0.5 * fmean([(b_m - a_m) ** 2 for a_m, b_m in pairwise(all_m)])
+                variance_m2 = max(variance_m2, shown_m2)
+        return cls(fmean(x_m), fmean(y_m), variance_m2, len(samples))
 
-    def beyond_m(self, other: "_Centre", allowed_m: float) -> float:
+    def beyond_m(self, earlier: "_Centre", allowed_m: float) -> float:
         """Return the distance in m; 0 if it is allowed or within the noise."""
-        way_m = hypot(self.x_m - other.x_m, self.y_m - other.y_m)
-        noise_m = _SLIDE_SDS * sqrt(self.variance_m2 + other.variance_m2)
+        way_m = hypot(self.x_m - earlier.x_m, self.y_m - earlier.y_m)
+        variance_m2 = max(self.variance_m2, earlier.variance_m2)
+        noise_m = _SLIDE_SDS * sqrt(variance_m2 * (1.0 / self.n + 1.0 / earlier.n))
         return way_m if way_m > max(allowed_m, noise_m) else 0.0
 
 
@@ -178,9 +186,11 @@ class SlideWatch:
         if self._first is None:
             if not before or recent[0].t_s - before[0].t_s < _SLIDE_FIRST_S:
                 return None
-            self._first = _Centre.of(before)
+            self._first = _Centre.of(before, scatter=True)
         now, slide_m = _Centre.of(recent), self._settings.slide_m
         # After a gap of the samples there is only the first centre.
-        sudden_m = now.beyond_m(_Centre.of(before), min(CREEP_M, slide_m)) if before else 0.0
-        along_m = max(sudden_m, now.beyond_m(self._first, slide_m))
+        along_m = now.beyond_m(self._first, slide_m)
+        if before:
+            earlier = _Centre.of(before, scatter=True)
+            along_m = max(along_m, now.beyond_m(earlier, min(CREEP_M, slide_m)))
         return f"it has slid along the pads by {1e3 * along_m:.2f} mm" if along_m > 0.0 else None

@@ -100,6 +100,23 @@ def test_the_noisier_the_centre_the_farther_is_a_slide() -> None:
     assert slid_m(0.02, 0.0005, speed_m_s=0.0) == 1.0
 
 
+@pytest.mark.parametrize("frame_s", [None, 0.0])
+def test_a_centre_of_messages_that_is_noisier_than_stated_is_no_slide(frame_s) -> None:
+    watch, draw = SlipWatch(SETTINGS), random.Random(5)
+    samples = (
+        ForceSample(
+            t_s=0.005 * i,
+            force_n=(5.0, 5.0),
+            centre_m=(draw.gauss(0.0, 0.0005), 0.0),
+            centre_noise_m=0.00025,
+            frame_s=frame_s,
+        )
+        for i in range(4000)
+    )
+    slides = any(slips(watch, sample, setpoint_n=5.0) for sample in samples)
+    assert slides is (frame_s is None)
+
+
 def test_a_slow_slide_is_reported_at_the_largest_way_that_is_allowed() -> None:
     assert 0.0014 < slid_m(0.02, 0.0001, speed_m_s=0.001) < 0.0017
 
