@@ -18,6 +18,9 @@ LEAST_FRAMES = 8
 """Fewest frames: in fewer a healthy taxel may be constant by chance."""
 _NOISY_SHARE = 0.5
 """Largest share of constant taxels of a sensor that shows noise: one pad of two may be dead."""
+_NOISY_COUNTS = 0.8
+"""Least median standard deviation of the other taxels in counts. With less, a healthy taxel is
+often constant for `SensorSettings.stuck_frames`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -29,7 +32,7 @@ class TaxelHealth:
     others show noise; ``stuck``, constant at another value meanwhile; ``at full scale``,
     constantly, independent of the others."""
     noisy: bool
-    """bool: whether the sensor shows noise; without it dead and stuck taxels cannot be found."""
+    """bool: whether noise changes each healthy taxel; else dead and stuck ones cannot be found."""
 
     @property
     def bad(self) -> Mask:
@@ -56,7 +59,9 @@ def assess_health(frames: NDArray[np.uint16], adc_max: int) -> TaxelHealth:
         raise TareRefused(f"a tare of {len(frames)} frames, at least {LEAST_FRAMES} are needed")
     low, high = frames.min(axis=0), frames.max(axis=0)
     constant = low == high
-    noisy = bool(np.count_nonzero(constant) <= _NOISY_SHARE * len(constant))
+    noisy = np.count_nonzero(constant) <= _NOISY_SHARE * len(constant) and bool(
+        np.median(frames.std(axis=0)[~constant]) >= _NOISY_COUNTS
+    )
     full = low >= adc_max
     flat = constant & ~full if noisy else np.zeros_like(constant)
     kinds = {"dead": flat & (low == 0), "stuck": flat & (low > 0), "at full scale": full}

@@ -453,6 +453,14 @@ def test_without_noise_dead_taxels_cannot_be_told() -> None:
     assert health.summary() == "0 dead, 0 stuck, 1 at full scale"
 
 
+@pytest.mark.parametrize("noise_counts", [0.03, 0.1, 0.3, 0.6])
+def test_taxels_whose_noise_is_less_than_a_count_are_not_stuck(noise_counts: float) -> None:
+    draw = np.random.default_rng(6)
+    offsets = draw.uniform(20.0, 30.0, 408)
+    frames = np.rint(offsets + draw.normal(0.0, noise_counts, (100, 408))).astype(np.uint16)
+    assert not assess_health(frames, 255).bad.any()
+
+
 # -- Counts to forces, and the filters between: the paper's figures, borders, noise, single frames -
 
 
