@@ -60,8 +60,9 @@ _MAX_UNUSABLE_HZ = 20.0
 """Allowed rate of damaged or unusable messages in 1/s."""
 _PASSIVE_S = 0.5
 """Longest time in s in which the host's CAN controller may be error-passive."""
-_LOSS_FRAMES = 50
-"""Number of newest frames for the share of lost ones."""
+_LOSS_FRAMES = 200
+"""Number of newest frames for the share of lost ones. With 50, a loss of 1 % would often exceed the
+usual limit of 5 % by chance."""
 _UNANSWERED_SYNCS = 3
 """Number of SYNCs without a complete frame that is a fault."""
 _LATE_PERIODS = 2
