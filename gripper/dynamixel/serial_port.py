@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NoReturn, Protocol
+from typing import Protocol
 
 import serial
 from serial.tools import list_ports
@@ -227,16 +227,16 @@ class SdkPort:
         self._ahead = b""
         try:
             self._stream.drop_input()
-        except (PortLost, OSError) as error:
-            self._lose(error)
+        except OSError as error:
+            raise _lost(error) from error
 
     def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802
         """Send a packet and return its length."""
         self._unanswered_bytes = len(packet)
         try:
             self._stream.write(bytes(packet))
-        except (PortLost, OSError) as error:
-            self._lose(error)
+        except OSError as error:
+            raise _lost(error) from error
         return len(packet)
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
@@ -252,8 +252,8 @@ class SdkPort:
                     return b""
             try:
                 self._ahead = self._stream.read(max(length, _READ_AHEAD), left_s)
-            except (PortLost, OSError) as error:
-                self._lose(error)
+            except OSError as error:
+                raise _lost(error) from error
         data, self._ahead = self._ahead[:length], self._ahead[length:]
         self.passed += data
         return data
@@ -278,8 +278,7 @@ class SdkPort:
         """Return whether the packet's time-out is over, and nothing is left to read."""
         return not self._ahead and self._clock.monotonic() >= self._deadline_s - _TIMER_GRAIN_S
 
-    def _lose(self, error: PortLost | OSError) -> NoReturn:
-        """Raise the loss of the stream as PortLost."""
-        if isinstance(error, PortLost):
-            raise error
-        raise PortLost(f"the servo line is lost: {error}") from error
+
+def _lost(error: OSError) -> PortLost:
+    """Return the loss of a stream as PortLost; some streams raise that themselves."""
+    return PortLost(f"the servo line is lost: {error}")

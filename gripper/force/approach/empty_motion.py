@@ -174,10 +174,9 @@ class MoveTo:
                 f"together. They stand still; take the part out by hand, then check "
                 f"{mechanics_text(self._mechanics)}"
             )
-        if moment.now_s < self._ran_s + BRIEF_S:
+        if moment.now_s < min(self._ran_s + BRIEF_S, self._deadline_s):
             if self._coasts(moment.state):
                 self._ran_s = moment.now_s
-            self._deadline_s = moment.now_s + _PATIENCE_S
             return Action()
         self._look(moment)
         passed_s = moment.now_s - self._begun_s

@@ -233,9 +233,8 @@ class ForceLaw:
         observer.missing_n -= max(0.0, self._balance_n - grip.balance_n)
         if sample is not None and self._jumps(sample, period):
             sample = None
-        if period.moment.dt_s > 0.0:
-            drive_n = 0.5 * (before_n + measured_n)
-            observer.predict(period.moment.dt_s, drive_n, self._frictions_n(period))
+        drive_n = 0.5 * (before_n + measured_n)
+        observer.predict(period.moment.dt_s, drive_n, self._frictions_n(period))
         observer.measure(period.moment, sample)
         frictions_n = self._frictions_n(period)
         self._check(period)
@@ -269,8 +268,6 @@ class ForceLaw:
 
     def _advance_plan(self, period: Period) -> None:
         grip, observer, dt_s = self._grip, self.observer, period.moment.dt_s
-        if dt_s <= 0.0:
-            return
         setpoint_n, stiffness = period.setpoint_n, observer.stiffness_n_m
         self._rates_n_s.append((setpoint_n - self._setpoint_n) / dt_s)
         self._setpoint_n = setpoint_n
@@ -298,7 +295,7 @@ class ForceLaw:
         if sign * rate_n_s < 0.0 or (sign < 0.0 and rate_n_s == 0.0):
             least_n += _HOLD_N
         may_start = sample.measured_s > self._pushes.effect_s and (sign > 0.0 or period.may_open)
-        if abs(error_n) <= least_n or not may_start or period.moment.dt_s <= 0.0:
+        if abs(error_n) <= least_n or not may_start:
             return 0.0
         self._started_m = period.moment.state.aperture_m
         return self._pushes.push_n(self.observer, period.moment, frictions_n, sign)
