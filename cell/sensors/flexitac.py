@@ -34,9 +34,10 @@ class FlexiTacConfig(SensorConfig):
     baud_rate = BAUD_RATE
     layout = "flexitac_12x32"
     period_s = PERIOD_S
-    # Each taxel rests at its own 10 to 40 of 255 counts. The mean of nine may deviate this far from
-    # that of the pad by chance. [derived] A taxel of 8 bit may repeat itself for a second. [chosen]
-    rest = RestLimits(rest_share=0.22, bump_share=0.05, stuck_frames=100)
+    # Each taxel rests at its own 10 to 40 of 255 counts. The mean of a taxel and its neighbours, at
+    # a corner of four in all, deviates by at most this far from that of the pad. [derived] A taxel
+    # of 8 bit may repeat itself for a second. [chosen]
+    rest = RestLimits(rest_share=0.22, bump_share=0.06, stuck_frames=100)
 
     def check(self, _tactile: TactileConfig, layout: TaxelLayout) -> None:
         """Raise LayoutError where a layout has other pads than two of the profile's size."""
