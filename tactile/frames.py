@@ -167,7 +167,7 @@ class FrameAssembler:
 
     def _finish(self, burst: _Burst, t_s: float) -> TactileFrame | None:
         header = self._format.header_bytes
-        in_order = b"".join(burst.parts[index] for index in range(self._n))
+        in_order = b"".join([burst.parts[index] for index in range(self._n)])
         whole = np.frombuffer(in_order, dtype=np.uint8)
         payload = whole.reshape(self._n, MESSAGE_BYTES)[:, header:].tobytes()
         if burst is self._newest:

@@ -53,7 +53,7 @@ class History:
 
     def most(self, *, since_s: float) -> float:
         """Return the largest value since a time in s, at least the newest one."""
-        return max([self.newest, *(v + self._shift for t_s, v in self._entries if t_s >= since_s)])
+        return max([self.newest, *[v + self._shift for t_s, v in self._entries if t_s >= since_s]])
 
     def shift(self, by: float) -> None:
         """Add ``by`` to all values."""

@@ -95,7 +95,7 @@ class PadSamples:
     @property
     def before_n(self) -> float:
         """Largest grip force in N of the look-back window, a mean of enough samples."""
-        return max((force_n for _, force_n in self._before_n), default=0.0)
+        return max([force_n for _, force_n in self._before_n], default=0.0)
 
     def suddenly_empty(self, planned_n: float) -> bool:
         """Return whether almost no force is left although ``planned_n`` N were planned.

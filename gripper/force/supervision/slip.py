@@ -127,7 +127,7 @@ class _Centre(NamedTuple):
 
     @classmethod
     def of(cls, samples: Sequence[ForceSample], *, scatter: bool = False) -> "_Centre":
-        x_m, y_m = zip(*(sample.centre_m for sample in samples if sample.centre_m), strict=True)
+        x_m, y_m = zip(*[sample.centre_m for sample in samples if sample.centre_m], strict=True)
         variance_m2 = fmean([sample.centre_noise_m**2 for sample in samples])
         if scatter and len(samples) > 1 and samples[0].frame_s is not None:
             # A unit may sum more taxels for its messages than its frames show as touched. A slide
