@@ -244,7 +244,7 @@ class HandProcess:
         """Counters as of the last command."""
         self.latest = LatestValues()
         """As in `Hand`: values of the process that `tick` or a command has received."""
-        self._heard_s = time.monotonic()
+        self._heard_s = self._ticked_s = time.monotonic()
 
     # -- what is known here --------------------------------------------------------------------
 
@@ -330,6 +330,10 @@ class HandProcess:
         Also raises HandLost if the process is silent for too long.
         """
         now_s = time.monotonic()
+        if now_s - self._ticked_s > 0.5 * self._silence_s:
+            # Both processes may have been paused together.
+            self._heard_s = now_s
+        self._ticked_s = now_s
         while self._loop.waiting():
             self._heard_s = now_s
             self._next(0.0)

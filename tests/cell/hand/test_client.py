@@ -344,12 +344,13 @@ def test_a_signal_while_waiting_stops_first_and_a_second_ends_at_once(loop, hand
 def test_a_process_that_says_nothing_between_commands_is_lost(loop, hand, monkeypatch) -> None:
     now_s = time.monotonic()
     monkeypatch.setattr(client, "time", SimpleNamespace(monotonic=lambda: now_s))
-    # The program was busy for long: what came meanwhile shows that somebody was there.
+    # The program was busy for long, or both were paused.
     now_s += 60.0
+    hand.tick()
     loop.line.outbox.post(LiveUpdate(latest=LatestValues()))
-    hand.tick()
-    now_s += 4.0
-    hand.tick()
+    for step_s in (2.0, 2.0, 2.0):
+        now_s += step_s
+        hand.tick()
     now_s += 1.5
     with pytest.raises(HandLost, match=r"nothing for 5\.5 s"):
         hand.tick()
