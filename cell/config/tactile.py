@@ -159,7 +159,7 @@ class TactileConfig(Section):
     """Serial numbers (object 2103h) of the pads' boards on finger 0 and 1; none: any. With numbers
     a start refuses exchanged pads."""
     loss_max_share: float = setting_of(LinkSettings, "max_loss_rate", at_most=0.5)
-    """Share of the last 50 frames that may be lost before the grip is held, 0 to 0.5."""
+    """Share of the newest frames that may be lost before the grip is held, 0 to 0.5."""
     foreign_max_hz: float = setting_of(LinkSettings, "max_foreign_hz")
     """Allowed messages of other nodes per second; more count as a flood."""
     bad_taxels_max_share: float = Field(default=0.05, ge=0.0, le=0.5)

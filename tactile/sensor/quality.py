@@ -83,7 +83,7 @@ class QualityWatch:
         self.bad = self._broken.copy()
         if self._tare is not None:
             self.bad |= self._tare.health.bad
-            if self._tare.health.noisy:
+            if self._tare.health.lively:
                 self.bad |= self._repeats >= self._limits.stuck_frames
         if self._tare is None or not same.all():
             self._changed_s, self._aim_at_change = frame.t_s, self._aim

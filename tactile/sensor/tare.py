@@ -32,6 +32,8 @@ class TaxelHealth:
     others show noise; ``stuck``, constant at another value meanwhile; ``at full scale``,
     constantly, independent of the others."""
     noisy: bool
+    """bool: whether the sensor shows noise; else only a change of the force shows a frozen one."""
+    lively: bool
     """bool: whether noise changes each healthy taxel; else dead and stuck ones cannot be found."""
 
     @property
@@ -59,13 +61,12 @@ def assess_health(frames: NDArray[np.uint16], adc_max: int) -> TaxelHealth:
         raise TareRefused(f"a tare of {len(frames)} frames, at least {LEAST_FRAMES} are needed")
     low, high = frames.min(axis=0), frames.max(axis=0)
     constant = low == high
-    noisy = False
-    if np.count_nonzero(constant) <= _NOISY_SHARE * len(constant):
-        noisy = float(np.median(frames.std(axis=0)[~constant])) >= _NOISY_COUNTS
+    noisy = bool(np.count_nonzero(constant) <= _NOISY_SHARE * len(constant))
+    lively = noisy and float(np.median(frames.std(axis=0)[~constant])) >= _NOISY_COUNTS
     full = low >= adc_max
-    flat = constant & ~full if noisy else np.zeros_like(constant)
+    flat = constant & ~full if lively else np.zeros_like(constant)
     kinds = {"dead": flat & (low == 0), "stuck": flat & (low > 0), "at full scale": full}
-    return TaxelHealth(kinds=kinds, noisy=noisy)
+    return TaxelHealth(kinds=kinds, noisy=noisy, lively=lively)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -458,7 +458,9 @@ def test_taxels_whose_noise_is_less_than_a_count_are_not_stuck(noise_counts: flo
     draw = np.random.default_rng(6)
     offsets = draw.uniform(20.0, 30.0, 408)
     frames = np.rint(offsets + draw.normal(0.0, noise_counts, (100, 408))).astype(np.uint16)
-    assert not assess_health(frames, 255).bad.any()
+    health = assess_health(frames, 255)
+    assert not health.bad.any()
+    assert health.noisy is (noise_counts > 0.05), "else frozen samples are not found"
 
 
 # -- Counts to forces, and the filters between: the paper's figures, borders, noise, single frames -
