@@ -52,6 +52,8 @@ _FREE_S = 0.5
 _LOW_CONTACTS, _HIGH_SHARE, _LEAST_SPAN_N = 2.5, 0.9, 2.0
 """Forces between which a drive is measured: the least in contact forces, the largest as a share of
 the held force, and the least difference of both in N. [chosen]"""
+_RECOVERED_S = 1.0
+"""Time in s after which foam presses a carried part hardly more. [chosen]"""
 _CURRENT_SHARE = 0.9
 """Largest share of the current limit in this measurement. [chosen]"""
 
@@ -359,7 +361,7 @@ class Gripper:
                 state = self._runner.run(HoldStep(self.settings, control, hold_s).step)
             self._servos.disarm_watchdog()
         carrying = HoldStep(self.settings, control, inf)
-        control.grip.carried_m = state.aperture_m
+        control.grip.carried_s = state.t_s + _RECOVERED_S
         self._carried = self._runner.start_command(carrying.step, now_s=state.t_s)
         return state
 

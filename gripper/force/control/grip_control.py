@@ -60,7 +60,7 @@ class DriveGoals:
         self._limit(state, paths, friction_n)
         goals = []
         self._deepest_rad = tuple(map(min, self._deepest_rad, state.angles_rad))
-        if state.aperture_m < min(grip.touch_m, grip.carried_m):
+        if state.aperture_m < grip.touch_m:
             self._stop_rad = None
         elif self._stop_rad is None:
             self._stop_rad = state.angles_rad
@@ -211,7 +211,7 @@ class GripControl:
         rises_n = setpoint_n - grip.setpoint_n
         grip.setpoint_n = setpoint_n
         if rises_n != 0.0:
-            grip.carried_m = inf
+            grip.carried_s = inf
         grip.apertures.add(moment.now_s, state.aperture_m)
         if sample is not None:
             self.watch.pads.take(sample)
@@ -231,7 +231,7 @@ class GripControl:
             end_n=end_n,
             paths=paths,
             friction_n=mean_friction_n(paths),
-            may_open=self._goals.may_open,
+            may_open=self._goals.may_open and moment.now_s < grip.carried_s,
         )
         grip.drive_n = self._law.step(period)
         return self._goals.goals(state)

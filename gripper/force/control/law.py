@@ -51,7 +51,8 @@ the noise of a mean. Against the direction, through the whole friction, this one
 _NEAR_N = 0.03
 """Distance in N from its end at which a motion stops. [chosen]"""
 _BRAKE_SHARE = 0.5
-"""Share of the friction by which the drive brakes beside the friction itself. [chosen]"""
+"""Share of the friction by which a drive brakes beside the friction itself, and by which that of a
+carried part may grow: no finger moves by it. [chosen]"""
 _STRONGER, _WEAKER = 1.15, 0.98
 """Factors on the assumed stiction after a push without, and with, effect. [chosen]"""
 _LEAST_OPENING_SHARE = 0.3
@@ -242,7 +243,10 @@ class ForceLaw:
         speed_m_s = observer.speed_after_m_s(_ACTS_S, grip.drive_n, frictions_n)
         way_m = 0.5 * (observer.speed_m_s + speed_m_s) * _ACTS_S
         force_n = observer.force_n + observer.stiffness_n_m * way_m
-        grip.force_n, grip.balance_n = observer.force_n, force_n + observer.missing_n
+        balance_n, carried = force_n + observer.missing_n, period.moment.now_s >= grip.carried_s
+        if not carried:
+            self._carried_n = balance_n + _BRAKE_SHARE * period.friction_n
+        grip.force_n, grip.balance_n = observer.force_n, min(balance_n, self._carried_n)
         self._balance_n = grip.balance_n
         if sample is None:
             return grip.balance_n
@@ -251,6 +255,8 @@ class ForceLaw:
             push_n = self._starting_n(period, sample, error_n, frictions_n)
         else:
             push_n = self._moving_n(period, sample, error_n, speed_m_s, frictions_n)
+        if carried:
+            push_n = max(0.0, push_n)
         return grip.balance_n + push_n
 
     def _frictions_n(self, period: Period) -> tuple[float, float]:

@@ -161,8 +161,9 @@ class Grip:
     touch_m: float
     """Opening in m at which both pads were first loaded: the fingers are not driven open beyond it,
     however much force the pads report."""
-    carried_m: float = inf
-    """The same for a carried part, until its set-point changes: a drifting zero must not open."""
+    carried_s: float = inf
+    """Time in s from which no push opens the fingers, until the set-point changes: a carried part
+    does not grow, but the zero of a pad may drift."""
     apertures: History = field(default_factory=History)
     """Opening of the last periods in m."""
     force_n: float
