@@ -16,7 +16,7 @@ from gripper.force.ramp import ForceRamp
 from gripper.force.supervision.empty_grip import EmptyGrip
 from gripper.force.supervision.slip import SlipWatch
 from gripper.mechanics.transmission import Mechanics
-from gripper.servos.goal_limits import EQUAL, standing
+from gripper.servos.goal_limits import EQUAL, check_temperature, standing
 from gripper.settings import GripperSettings
 from gripper.values.outcome import GraspOutcome, GraspResult
 from gripper.values.state import GripperPhase, ServoFeedback
@@ -387,7 +387,11 @@ class HoldStep(GripStep):
         self._left_s = duration_s
 
     def step(self, moment: Moment) -> Action:
-        """Return the action of one period; PartLost, PartSlipped when the part goes."""
+        """Return the action of one period.
+
+        Raises PartLost, PartSlipped when the part goes, LimitExceeded when a servo is too warm.
+        """
+        check_temperature(self._settings, moment.state)
         self._left_s -= moment.dt_s
         return replace(super().step(moment), level=None)
 

@@ -63,18 +63,19 @@ _PAUSE_S = 0.025
 two periods at 100 Hz the motor may have stopped meanwhile. [chosen]"""
 _SUPPLY_SD = 0.05
 """Error of the supply's voltage and of the current by it, as a share, on the 330 size. [assumed]"""
-_VOLTAGE_SD_V, _RESISTANCE_SD = 0.02, 0.15
-"""Error of a voltage in V, and spread of the winding's resistance as a share: 50 K add 20 %.
-[assumed]"""
-_MEASURED_SD = 0.05
-"""Error of a resistance once it was measured, as a share: 13 K. [assumed]"""
+_VOLTAGE_SD_V, _RESISTANCE, _RESISTANCE_SD = 0.02, 1.15, 0.13
+"""Error of a voltage in V; mean of the winding's resistance over that of the model, and its spread
+as a share: units differ by 10 %, and copper that is 80 K warmer adds 31 %. [assumed]"""
+_MEASURED_SD, _MEASURED_S = 0.05, 20.0
+"""Error of a measured resistance as a share, 13 K, and time in s for which it counts. [assumed]"""
 
 
 class MotorTravel:
     """Travel of one servo by voltage and current of its motor, V = R i + k_e w, without encoder.
 
-    R is measured at each rest on a part; before, it has the spread of the model, as k_e always has.
-    The current is that of Present Current: one by the duty would follow the voltage.
+    R is measured at each rest on a part with enough current. Without a recent measurement it has
+    the spread of the model and of its heat; k_e always has the spread of the model. The current is
+    that of Present Current: one by the duty would follow the voltage.
     """
 
     def __init__(self, model: ServoModel) -> None:
@@ -88,7 +89,8 @@ class MotorTravel:
 
     def forget(self) -> None:
         """Discard what was measured: the motor may be another one."""
-        self._ohm, self._ohm_sd = self._model.winding_ohm, _RESISTANCE_SD
+        self._usual_ohm = _RESISTANCE * self._model.winding_ohm
+        self._ohm, self._ohm_sd, self._measured_s = self._usual_ohm, _RESISTANCE_SD, -inf
         self.pause()
 
     def pause(self) -> None:
@@ -108,6 +110,8 @@ class MotorTravel:
     def push(self, servo: ServoState, now_s: float, *, loaded: bool) -> None:
         """Add the feedback of one period, with whether the pads may hold a part."""
         sums = self._sums
+        if now_s - self._measured_s > _MEASURED_S:
+            self._ohm, self._ohm_sd = self._usual_ohm, _RESISTANCE_SD
         if servo.motor_a is None:
             self.pause()
             return
@@ -139,9 +143,9 @@ class MotorTravel:
         rests = loaded and time_s >= _COMPARED_S and abs(travel_rad) <= counts_rad
         sd_v_s = hypot(_VOLTAGE_SD_V * time_s, self._supply_sd * volt_s, v_s * counts_rad)
         if rests and sd_v_s < _MEASURED_SD * self._ohm * abs(amp_s):
-            ohm, off = volt_s / amp_s, SIGMAS * _RESISTANCE_SD * model.winding_ohm
-            if abs(ohm - model.winding_ohm) <= off:
-                self._ohm, self._ohm_sd = ohm, _MEASURED_SD
+            ohm = volt_s / amp_s
+            if abs(ohm - self._usual_ohm) <= SIGMAS * _RESISTANCE_SD * self._usual_ohm:
+                self._ohm, self._ohm_sd, self._measured_s = ohm, _MEASURED_SD, now_s
 
     def _unknown_v(self, volt_s: float, amp_s: float, time_s: float) -> float:
         ohm_v_s, supply_v_s = self._ohm_sd * self._ohm * amp_s, self._supply_sd * volt_s

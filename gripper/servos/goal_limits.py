@@ -345,11 +345,7 @@ class GoalWriter:
                         f"least {least_n:.1f} N, force_max_n is {settings.force_max_n} N "
                         f"({_positions(state)})"
                     )
-            if state.temperature_c > settings.temperature_max_c:
-                raise LimitExceeded(
-                    f"a servo has {state.temperature_c:.0f} C, temperature_max_c is "
-                    f"{settings.temperature_max_c:g}: let it cool down"
-                )
+            check_temperature(settings, state)
             if self.fresh_force is not None:
                 self.check_force()
         self._previous_a = [max(goal.current_a, goal.lasting.current_a) for goal in goals]
@@ -378,6 +374,15 @@ class GoalWriter:
                 f"{low_rad:.4f} to {high_rad:.4f} rad (closed to aperture_open_m; "
                 f"{_positions(state)})"
             )
+
+
+def check_temperature(settings: GripperSettings, state: ServoFeedback) -> None:
+    """Raise LimitExceeded for a servo that is too warm to press; its own limit drops the part."""
+    if state.temperature_c > settings.temperature_max_c:
+        raise LimitExceeded(
+            f"a servo has {state.temperature_c:.0f} C, temperature_max_c is "
+            f"{settings.temperature_max_c:g}: take out a part that is held, and let it cool down"
+        )
 
 
 def _positions(state: ServoFeedback) -> str:

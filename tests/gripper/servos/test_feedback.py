@@ -19,21 +19,29 @@ from tests.values import make_servo
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 MODEL = GripperSettings().servos[0].servo_model
 PERIOD_S, UNSEEN_RAD = 0.005, 0.01
-OHM, BACK_EMF_V_S = 1.15 * MODEL.winding_ohm, 0.9 * MODEL.back_emf_v_s
-"""Motor of a servo that is warm, with a weak magnet."""
+BACK_EMF_V_S = 0.9 * MODEL.back_emf_v_s
+"""That of a servo with a weak magnet."""
 
 
 def moving(
-    speeds_rad_s: list[float], *, at_rad: float = 0.2, reported: float = 1.0, seed: int = 1
+    speeds_rad_s: list[float],
+    *,
+    at_rad: float = 0.2,
+    reported: float = 1.0,
+    seed: int = 1,
+    warm: float = 1.15,
 ) -> Iterator[ServoState]:
-    """Give the feedback of a servo at some speeds; its position shows a share of them."""
+    """Give the feedback of a servo at some speeds; its position shows a share of them.
+
+    ``warm``: resistance of its winding over that of the model.
+    """
     draw, count_rad = random.Random(seed), MODEL.rad_per_pulse
     for speed_rad_s in speeds_rad_s:
         at_rad += reported * speed_rad_s * PERIOD_S
         current_a = (0.13 if speed_rad_s > 0.0 else -0.13 if speed_rad_s else -0.4) + draw.gauss(
             0.0, 0.004
         )
-        voltage_v = OHM * current_a + BACK_EMF_V_S * speed_rad_s
+        voltage_v = warm * MODEL.winding_ohm * current_a + BACK_EMF_V_S * speed_rad_s
         yield replace(
             make_servo(servo_id=1, supply_v=12.0, velocity_rad_s=0.0),
             angle_rad=count_rad * round(at_rad / count_rad),
@@ -68,6 +76,16 @@ def test_the_motor_agrees_with_its_position_and_has_no_more_than_its_speed(motor
         least_rad_s = motor.least_rad_s(servo.supply_v * servo.pwm_share, servo.motor_a)
         assert 0.5 * abs(speed_rad_s) <= abs(least_rad_s) <= abs(speed_rad_s)
         assert least_rad_s * speed_rad_s >= 0.0
+
+
+@pytest.mark.parametrize("warm", [0.9, 1.44])
+def test_a_unit_with_another_winding_that_is_hot_agrees_with_its_position(motor, warm) -> None:
+    assert pushed(motor, moving(SWEEPS, warm=warm)) == 0.0
+
+
+def test_a_winding_that_has_become_hot_since_its_measurement_agrees_too(motor) -> None:
+    pushed(motor, moving(SWEEPS, warm=1.0))
+    assert pushed(motor, moving(SWEEPS, warm=1.35), 60.0) == 0.0
 
 
 @pytest.mark.parametrize(
