@@ -198,6 +198,7 @@ class ForceLaw:
     def __init__(self, grip: Grip, now_s: float) -> None:
         self._grip = grip
         self._pushes = Pushes(grip.mechanics.drives)
+        self._carried_n = inf
         self.begin(now_s)
 
     def begin(self, now_s: float) -> None:
