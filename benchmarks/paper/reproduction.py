@@ -165,8 +165,11 @@ RECOGNIZERS = ("force_ramp", "level_check")
 
 
 def one_frame(grasp: Grasp, force_n: float) -> Grasp:
-    """Return the frames before contact and the one frame at a force: nothing is averaged."""
-    frames = sorted([*range(REST_FRAMES), int(np.argmin(np.abs(grasp.force_n - force_n)))])
+    """Return the frames before contact and the one frame at a force: nothing is averaged.
+
+    It is there twice, because a single frame with another load is a spike for the recognizers.
+    """
+    frames = sorted([*range(REST_FRAMES), *[int(np.argmin(np.abs(grasp.force_n - force_n)))] * 2])
     names = "counts", "t_s", "aperture_m", "force_n"
     return replace(grasp, **{name: getattr(grasp, name)[frames] for name in names})
 
