@@ -19,6 +19,7 @@ from gripper.dynamixel.latency import check_link
 from gripper.dynamixel.serial_port import ByteStream, open_line
 from gripper.force.approach.empty_motion import FirstMotion, MoveTo, StandStill
 from gripper.force.approach.mechanics_proof import standing_rows
+from gripper.force.certainty import RECOVERED_S
 from gripper.force.control.grip_control import GripControl
 from gripper.force.estimates.free_motion import FreeMotion
 from gripper.force.grasp import GraspRun, GripStep, HoldStep
@@ -52,8 +53,6 @@ _FREE_S = 0.5
 _LOW_CONTACTS, _HIGH_SHARE, _LEAST_SPAN_N = 2.5, 0.9, 2.0
 """Forces between which a drive is measured: the least in contact forces, the largest as a share of
 the held force, and the least difference of both in N. [chosen]"""
-_RECOVERED_S = 1.0
-"""Time in s after which foam presses a carried part hardly more. [chosen]"""
 _CURRENT_SHARE = 0.9
 """Largest share of the current limit in this measurement. [chosen]"""
 
@@ -361,7 +360,7 @@ class Gripper:
                 state = self._runner.run(HoldStep(self.settings, control, hold_s).step)
             self._servos.disarm_watchdog()
         carrying = HoldStep(self.settings, control, inf)
-        control.grip.carried_s = state.t_s + _RECOVERED_S
+        control.grip.carried_s = state.t_s + RECOVERED_S
         self._carried = self._runner.start_command(carrying.step, now_s=state.t_s)
         return state
 

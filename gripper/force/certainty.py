@@ -24,5 +24,7 @@ STEADY_S = 15 * FRAME_S
 longer is a fault."""
 STALLED_S = 25 * FRAME_S
 """Time in s after which fingers that stand under their current will not move any more."""
+RECOVERED_S = 2.0 * STALLED_S
+"""Time in s after which foam presses a part hardly more than before."""
 RUN_STEPS = 3.0
 """Travel in steps of the opening, the counts of its servos, that is a motion. [resolution]"""

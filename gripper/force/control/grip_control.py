@@ -5,6 +5,7 @@ from math import inf
 
 from gripper.dynamixel.models import ServoModel
 from gripper.force.approach.approach import Approach
+from gripper.force.certainty import RECOVERED_S
 from gripper.force.control.law import ForceLaw, Period
 from gripper.force.estimates.grip import KNOWN_N, Grip, History
 from gripper.force.loop import Moment
@@ -211,7 +212,7 @@ class GripControl:
         rises_n = setpoint_n - grip.setpoint_n
         grip.setpoint_n = setpoint_n
         if rises_n != 0.0:
-            grip.carried_s = inf
+            grip.carried_s = max(grip.carried_s, moment.now_s + RECOVERED_S)
         grip.apertures.add(moment.now_s, state.aperture_m)
         if sample is not None:
             self.watch.pads.take(sample)

@@ -249,7 +249,8 @@ class ForceLaw:
             self._carried_n = balance_n + _BRAKE_SHARE * period.friction_n
         grip.force_n, grip.balance_n = observer.force_n, min(balance_n, self._carried_n)
         self._balance_n = grip.balance_n
-        if sample is None:
+        # Beyond its cap a push would not start the fingers, and their rest would show nothing.
+        if sample is None or balance_n > self._carried_n:
             return grip.balance_n
         error_n = self.plan.force_n + self.plan.rate_n_s * _ACTS_S - force_n
         if observer.speed_m_s == 0.0:
