@@ -341,6 +341,14 @@ def test_a_signal_while_waiting_stops_first_and_a_second_ends_at_once(loop, hand
     assert loop.waiting() is again
 
 
+def test_an_interruption_within_a_message_ends_the_process(loop, hand, monkeypatch) -> None:
+    monkeypatch.setattr(loop.line.near, "recv", raising(SystemExit()))
+    with pytest.raises(SystemExit):
+        hand.grasp(RAMP, nothing)
+    with pytest.raises(HandLost, match="cut by an interruption"):
+        hand.tick()
+
+
 def test_a_process_that_says_nothing_between_commands_is_lost(loop, hand, monkeypatch) -> None:
     now_s = time.monotonic()
     monkeypatch.setattr(client, "time", SimpleNamespace(monotonic=lambda: now_s))
@@ -352,8 +360,11 @@ def test_a_process_that_says_nothing_between_commands_is_lost(loop, hand, monkey
         now_s += step_s
         hand.tick()
     now_s += 1.5
+    loop._process.wait.side_effect = [subprocess.TimeoutExpired("loop", 5.0), -9]
     with pytest.raises(HandLost, match=r"nothing for 5\.5 s"):
         hand.tick()
+    calls = [name for name, *_ in loop._process.method_calls]
+    assert calls == ["kill", "wait", "kill", "wait"], "it hangs: it is killed at once"
     hand.clear_fault(reboot=False)
     hand.tick()
 
@@ -608,7 +619,10 @@ def test_the_end_freezes_keeps_and_says_why(line, cause, monkeypatch) -> None:
     elif cause == "program":
         os.write(writer, b"s")
         os.close(writer)
-        line.server.listen(reader)
+        with monkeypatch.context() as patch:
+            patch.setattr(line.hand, "request_stop", stop := Mock())
+            line.server.listen(reader)
+        assert stop.call_count == 2, "the byte stops a command, and so does the end of the program"
     else:
         line.server._parent = -1
     line.server._execute(HandRequest(number=1, method="grasp", arguments={"ramp": RAMP}))
