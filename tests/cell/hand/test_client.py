@@ -376,7 +376,8 @@ def test_ctrl_c_while_the_process_comes_up_is_the_programs_business(monkeypatch,
 
     def start_and_interrupt(*arguments: Any, **options: Any) -> Any:
         process = start(*arguments, **options)
-        process.send_signal(signal.SIGINT)
+        for number in (signal.SIGINT, signal.SIGHUP):
+            process.send_signal(number)
         return process
 
     monkeypatch.setattr(client.subprocess, "Popen", start_and_interrupt)
