@@ -207,6 +207,8 @@ class Loop(LoopProcess):
 def hand(monkeypatch: pytest.MonkeyPatch) -> Iterator[HandProcess]:
     monkeypatch.setattr(Loop, "made", [])
     monkeypatch.setattr(client, "LoopProcess", Loop)
+    # Here it would collect what all earlier tests have left.
+    monkeypatch.setattr(server, "gc", Mock())
     yield HandProcess(CellConfig())
     for made in Loop.made:
         made.line.close()
