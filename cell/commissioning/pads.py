@@ -100,8 +100,8 @@ def judge_rest(
             are = "1 taxel is" if len(taxels) == 1 else f"{len(taxels)} taxels are"
             names = taxel_names(layout, taxels)
             notes.warn(f"{are} {name}: {names}. Their neighbours replace them.")
-    if not health.noisy:
-        notes.warn("The counts do not change at rest: press each pad to find dead or stuck taxels.")
+    if not health.lively:
+        notes.warn("The counts hardly change at rest: press each pad to find dead or stuck taxels.")
     quiet = max(min(noise), 1.0)
     for pad, counts in zip(layout.pads, noise, strict=True):
         if counts > _NOISY_FACTOR * quiet:
