@@ -109,7 +109,8 @@ class DriveBus(canopen.Network):
             self.notify(message.arbitration_id, message.data, message.timestamp)
 
     def drop_old(self) -> None:
-        """Drop messages from the time without polls."""
+        """Drop messages from the time without polls; a boot-up among them still counts."""
+        self.service()
         with _failures_named():
             self._source.start()
 

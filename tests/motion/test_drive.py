@@ -56,6 +56,30 @@ def test_every_way_of_homing_gives_true_positions(make_drive, homing, home) -> N
     assert bench.simulated.position == pytest.approx(0.0, abs=NEAR_M)
 
 
+def test_a_drive_that_still_moves_is_set_up_once_it_stands(make_drive, monkeypatch) -> None:
+    bench, speeds = make_drive(homing=None), list[float]()
+    bench.move(-0.02)
+    bench.drive.go_to(0.02)
+    bench.clock.sleep(0.1)
+    assert bench.simulated.motion.speed
+    set_up = lambda: speeds.append(bench.simulated.motion.speed)  # noqa: E731
+    monkeypatch.setattr(bench.drive, "_set_up", set_up)
+    bench.drive.prepare(reset=False)
+    assert speeds == [0.0]
+
+
+def test_a_drive_that_boots_has_its_home_where_it_stands_once_more(make_drive) -> None:
+    bench = make_drive(homing=HomingMethod.HERE, home=3e-3)
+    bench.move(0.0)
+    bench.simulated.power_cycle()
+    bench.clock.sleep(BOOT_S)
+    with pytest.raises(AxisRestarted, match="has booted"):
+        bench.drive.check()
+    bench.simulated._zero += 500.0  # it counts from anywhere
+    bench.drive.prepare(reset=False)
+    assert bench.drive.position == pytest.approx(3e-3, abs=NEAR_M)
+
+
 @pytest.mark.parametrize("x_m", [0.0201, -0.0201, float("nan"), float("inf")])
 def test_nothing_moves_beyond_a_limit(make_drive, x_m) -> None:
     bench = make_drive(homing=None)
@@ -193,7 +217,7 @@ def test_a_fault_is_reset_only_by_who_has_seen_it_also_between_two_motions(bench
     bench.move(0.01)
     bench.simulated.power_cycle()
     bench.clock.sleep(1.0)
-    with pytest.raises(AxisRestarted, match="it has restarted"):
+    with pytest.raises(AxisRestarted, match="has booted: its position is lost"):
         bench.move(0.0)
 
 
