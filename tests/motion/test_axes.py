@@ -94,6 +94,15 @@ def test_a_wrist_that_counts_in_another_turn_is_taken_where_it_stands(make_wrist
     assert bench.simulated.position == pytest.approx(1.0 - math.tau, abs=NEAR_RAD)
 
 
+def test_a_wrist_stays_where_it_is_when_its_torque_comes_on(bench) -> None:
+    bench.servo.prepare(reset=False)
+    bench.simulated.servo.set_torque(on=False)
+    bench.simulated.servo.registers.put("goal_position", 500)  # of an earlier program
+    bench.servo.prepare(reset=False)
+    bench.clock.sleep(0.2)
+    assert bench.simulated.position == pytest.approx(1.75, abs=NEAR_RAD)
+
+
 @pytest.mark.parametrize(
     ("fail", "error", "words"),
     [

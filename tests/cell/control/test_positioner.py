@@ -188,6 +188,11 @@ def test_no_axis_moves_while_the_fingers_hold(bench: Any) -> None:
     positioner = bench.controller.moves.positioner
     assert isinstance(positioner, AxesPositioner)
     there = Destination(label="ball", place="bin", pose=AWAY)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(positioner, "phase", lambda: GripperPhase.HOLDING)
+        patch.setattr(positioner.axes, "ready", False)
+        with pytest.raises(PositionerError, match="homed before they go to bin"):
+            positioner.carry_to(there)
     for phase in GripperPhase:
         positioner.phase = lambda phase=phase: phase
         if phase in (GripperPhase.OFF, GripperPhase.IDLE):

@@ -181,7 +181,7 @@ class Loop(LoopProcess):
     made: ClassVar[list["Loop"]] = []
 
     def __init__(self, _config: CellConfig, *, partial: bool = False) -> None:
-        del partial
+        self.partial = partial
         self.ready = Ready(notes=("a note",), missing=(), statistics=HAND_STATISTICS)
         self.lost: HandLost | None = None
         self._watchdog_ms, self._stopping, self._stop_fd = 100.0, threading.RLock(), -1
@@ -319,6 +319,7 @@ def test_a_lost_process_is_told_until_another_has_read_the_servos(loop, hand, mo
     assert hand.phase is GripperPhase.OFF
     _, again = Loop.made
     assert [request.method for request in again.sent] == ["clear_fault", "shutdown", "clear_fault"]
+    assert (loop.partial, again.partial) == (False, True), "to let go needs no sensor"
     hand.start()
 
 

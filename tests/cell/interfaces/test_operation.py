@@ -412,7 +412,7 @@ SECRETS = (TOKEN, SECRET, PRINTED, view_token(TOKEN), view_token(SECRET))
 JOURNAL = f"""#!/bin/sh
 echo "page: http://cell:8080/#token={PRINTED}"
 echo '{{"token": "{PRINTED}", "xmlrpc_port": 5021}}'
-echo "somebody typed {TOKEN}"
+echo "somebody typed {TOKEN} and {view_token(SECRET)}"
 echo "Authorization: Bearer {PRINTED}"
 """
 

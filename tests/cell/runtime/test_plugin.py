@@ -897,6 +897,15 @@ def test_a_silence_is_told_once_and_again_after_the_host_was_heard() -> None:
     assert look(23_601.0) == ["3601.00", "3601.00"]
 
 
+def test_the_watch_over_the_lease_survives_its_errors(monkeypatch) -> None:
+    lease, notes = Lease(0.1, given=Mock(), lost=Mock()), list[str]()
+    monkeypatch.setattr(lease, "_check_expiry", raising(ValueError("a bug")))
+    lease.watch(notes.append)
+    until(lambda: len(notes) > 1)
+    lease.close()
+    assert "watch over the lease: " in notes[1]
+
+
 @pytest.mark.slow
 def test_a_silence_stops_the_job_that_runs_alone_and_its_end_can_be_read() -> None:
     with TactileCellPlugin(quick_config(host_timeout_s=0.2)) as plugin:
