@@ -2,6 +2,7 @@
 
 from contextlib import suppress
 from dataclasses import replace
+from statistics import fmean
 from typing import Any
 
 import pytest
@@ -91,9 +92,12 @@ def test_each_tick_controls_a_carried_part_until_its_grip_is_kept(cell, force_n:
     assert cell.gripper.phase is GripperPhase.HOLDING
     assert cell.register(0, "bus_watchdog") == 0
     cell.gripper.request_stop()
-    ticks(cell, 3.0, creep_m_s=2e-4)
+    forces_n = []
+    for _ in range(12):
+        ticks(cell, 0.25, creep_m_s=2e-4)
+        forces_n.append(cell.force_n)
     # The creep takes 2 N/s of this part, and a push waits until the samples show its lack.
-    assert cell.force_n == pytest.approx(force_n, rel=0.1, abs=0.7)
+    assert fmean(forces_n[-4:]) == pytest.approx(force_n, abs=0.7)
     # The feedback is old then, and the first reading gets no answer.
     cell.clock.sleep(0.1)
     cell.device.faults.drop_next = 5

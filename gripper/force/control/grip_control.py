@@ -225,6 +225,7 @@ class GripControl:
                 return self.quiet_goals(moment)
             self._stalled_s, grip.force_n = None, sample.grip_n
             self._law.begin(moment.now_s)
+        carried = moment.now_s >= grip.carried_s
         period = Period(
             moment=moment,
             sample=sample,
@@ -232,7 +233,8 @@ class GripControl:
             end_n=end_n,
             paths=paths,
             friction_n=mean_friction_n(paths),
-            may_open=self._goals.may_open and moment.now_s < grip.carried_s,
+            may_open=self._goals.may_open and not carried,
+            carried=carried,
         )
         grip.drive_n = self._law.step(period)
         return self._goals.goals(state)

@@ -79,6 +79,8 @@ class Period:
     """Transmission of each servo, and half the width of the friction band in N."""
     may_open: bool
     """Whether the fingers may open farther."""
+    carried: bool
+    """Whether the part is carried: then no push opens the fingers."""
 
 
 class ForcePlan:
@@ -244,8 +246,8 @@ class ForceLaw:
         speed_m_s = observer.speed_after_m_s(_ACTS_S, grip.drive_n, frictions_n)
         way_m = 0.5 * (observer.speed_m_s + speed_m_s) * _ACTS_S
         force_n = observer.force_n + observer.stiffness_n_m * way_m
-        balance_n, carried = force_n + observer.missing_n, period.moment.now_s >= grip.carried_s
-        if not carried:
+        balance_n = force_n + observer.missing_n
+        if not period.carried:
             self._carried_n = balance_n + _BRAKE_SHARE * period.friction_n
         grip.force_n, grip.balance_n = observer.force_n, min(balance_n, self._carried_n)
         self._balance_n = grip.balance_n
@@ -257,7 +259,7 @@ class ForceLaw:
             push_n = self._starting_n(period, sample, error_n, frictions_n)
         else:
             push_n = self._moving_n(period, sample, error_n, speed_m_s, frictions_n)
-        if carried:
+        if period.carried:
             push_n = max(0.0, push_n)
         return grip.balance_n + push_n
 

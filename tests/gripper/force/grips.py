@@ -66,6 +66,7 @@ def make_period(
         "end_n": setpoint_n,
         "friction_n": FRICTION_N,
         "may_open": True,
+        "carried": False,
         "paths": paths,
     }
     return Period(
