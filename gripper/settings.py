@@ -143,7 +143,7 @@ class GripperSettings:
     """Cap of the goal current in A, at most stall current and Current Limit (register 38) of each
     servo's model."""
     temperature_max_c: float = setting(65.0, low=30.0, high=80.0)
-    """Warmest servo in degrees Celsius at which goals are still written."""
+    """Warmest servo in degrees Celsius that may press or hold a part."""
     force_stale_s: float = setting(0.1, low=0.02, high=1.0)
     """Oldest force sample in s that may be used."""
     bus_loss_s: float = setting(0.07, low=0.02, high=2.0)

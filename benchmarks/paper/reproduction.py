@@ -169,7 +169,8 @@ def one_frame(grasp: Grasp, force_n: float) -> Grasp:
 
     It is there twice, because a single frame with another load is a spike for the recognizers.
     """
-    frames = sorted([*range(REST_FRAMES), *[int(np.argmin(np.abs(grasp.force_n - force_n)))] * 2])
+    at = int(np.argmin(np.abs(grasp.force_n - force_n)))
+    frames = sorted([*range(REST_FRAMES), at, at])
     names = "counts", "t_s", "aperture_m", "force_n"
     return replace(grasp, **{name: getattr(grasp, name)[frames] for name in names})
 

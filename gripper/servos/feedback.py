@@ -83,13 +83,13 @@ class MotorTravel:
         # k_e in V s/rad, and its largest error as a share.
         self._back_emf_v_s = model.back_emf_v_s
         self._back_emf_error = SIGMAS * hypot(model.kt_sd, model.back_emf_sd)
+        self._usual_ohm = _RESISTANCE * model.winding_ohm
         self._supply_sd = _SUPPLY_SD if model.supply_current else 0.0
         self._sums: deque[_Sums] = deque()
         self.forget()
 
     def forget(self) -> None:
         """Discard what was measured: the motor may be another one."""
-        self._usual_ohm = _RESISTANCE * self._model.winding_ohm
         self._ohm, self._ohm_sd, self._measured_s = self._usual_ohm, _RESISTANCE_SD, -inf
         self.pause()
 

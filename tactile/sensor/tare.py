@@ -18,7 +18,7 @@ LEAST_FRAMES = 8
 """Fewest frames: in fewer a healthy taxel may be constant by chance."""
 _NOISY_SHARE = 0.5
 """Largest share of constant taxels of a sensor that shows noise: one pad of two may be dead."""
-_NOISY_COUNTS = 0.7
+_LIVELY_COUNTS = 0.7
 """Least median standard deviation of the other taxels in counts. With less, a healthy taxel is
 often constant for `SensorSettings.stuck_frames`."""
 
@@ -62,7 +62,7 @@ def assess_health(frames: NDArray[np.uint16], adc_max: int) -> TaxelHealth:
     low, high = frames.min(axis=0), frames.max(axis=0)
     constant = low == high
     noisy = bool(np.count_nonzero(constant) <= _NOISY_SHARE * len(constant))
-    lively = noisy and float(np.median(frames.std(axis=0)[~constant])) >= _NOISY_COUNTS
+    lively = noisy and float(np.median(frames.std(axis=0)[~constant])) >= _LIVELY_COUNTS
     full = low >= adc_max
     flat = constant & ~full if lively else np.zeros_like(constant)
     kinds = {"dead": flat & (low == 0), "stuck": flat & (low > 0), "at full scale": full}

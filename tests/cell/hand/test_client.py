@@ -208,7 +208,7 @@ def hand(monkeypatch: pytest.MonkeyPatch) -> Iterator[HandProcess]:
     monkeypatch.setattr(Loop, "made", [])
     monkeypatch.setattr(client, "LoopProcess", Loop)
     # Here it would collect what all earlier tests have left.
-    monkeypatch.setattr(server, "gc", Mock())
+    monkeypatch.setattr(server.gc, "collect", Mock())
     yield HandProcess(CellConfig())
     for made in Loop.made:
         made.line.close()
