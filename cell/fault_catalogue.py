@@ -20,7 +20,7 @@ EXPECTED_ERRORS = (cell.CellError, gripper.GripperError, tactile.TactileError)
 
 HELD = "Kept: goals are frozen."
 LIMP = "Without torque: where the fingers are is not known."
-LESS = "Kept with less current."
+LESS = "Kept, with less current where it presses too much."
 UNMOVED = "As it was; nothing has moved."
 APART = "Not affected."
 AXES_STOP = "As it was; all axes are stopped."
@@ -130,8 +130,8 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "A request beyond the config, or heat.", "Request less, or let the hot part cool down.",
         "Kept; a refused command moves nothing.", MEND),
     gripper.ForceAboveCap: Fault(201, "Grip force above its cap",
-        "The part was pushed, or the force control is wrong.",
-        "Look at the part; assess the risk; check cap and calibration.", LESS, MEND),
+        "The part was pushed, or pads or force control are wrong.",
+        "Look at the part; assess the risk; check cap, zero, gain.", LESS, MEND),
     gripper.PositionContradicted: Fault(202, "Pads or motor contradict the finger position",
         "An encoder is stuck or drifts, or something pushes a finger.",
         "Look, release, then check encoder and linkage.", HELD,

@@ -5,12 +5,15 @@ from contextlib import contextmanager, suppress
 from enum import StrEnum
 from math import inf
 from operator import gt
+from statistics import fmean
 from typing import NamedTuple
 
 from gripper import errors
 from gripper.clock import Clock
+from gripper.dynamixel.drive import SIGMAS
 from gripper.force.loop import CommandState
 from gripper.mechanics.impact import most_peak_n
+from gripper.mechanics.transmission import mean_yielding_n
 from gripper.servos.goal_limits import standing
 from gripper.servos.group import Servos
 from gripper.values.force_sensor import ForceSensor
@@ -242,7 +245,7 @@ class Lifecycle:
         ================================== =====================================================
         the bus is lost                    nothing is written: the servos' own watchdog acts
         position unknown                   the torque goes off
-        force above its cap                the currents are lowered until the force is below it
+        force above its cap                currents that can make it are lowered until it is below
         one finger silent or without       both hold their positions: none pushes alone; a motion
         torque                             without a part was stopped before, without current
         any other, moving fingers          they stop, and this is read back; without current where
@@ -294,7 +297,8 @@ class Lifecycle:
         they hold their positions until the next sample, and at the end. Where friction alone
         holds the force, they are driven open, as long as the samples follow: no signal alone lets a
         part go. One pad that shows the force alone may be at fault: then ``over_force_share`` of
-        the currents is left. Raises as `Servos.read`.
+        the currents is left. Currents that cannot hold the cap are not lowered: the pads' zero has
+        drifted, or something else presses. Raises as `Servos.read`.
         """
         servos, settings = self._servos, self._servos.settings
         most_n, share = most_peak_n(settings), settings.over_force_share
@@ -311,6 +315,13 @@ class Lifecycle:
             least = -1.0 if min(forces_n) > most_n else share
             follows = state.aperture_m - from_m < unseen_m
             if max(forces_n) <= most_n or left <= least or not follows:
+                break
+            paths = servos.mechanics.transmissions(state.angles_rad)
+            pairs = zip(goals, paths, strict=True)
+            drive_n = left * fmean([goal.current_a * path.n_per_a for goal, path in pairs])
+            sd_n = max([path.force_sd_n(most_n) for path in paths])
+            if drive_n + SIGMAS * sd_n < mean_yielding_n(paths, most_n):
+                servos.lower(goals, max(0.0, left), state)
                 break
             if newest.t_s >= opened_s:
                 left = max(least, left - settings.period_s / _LOWERING_S)

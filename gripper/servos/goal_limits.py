@@ -313,8 +313,8 @@ class GoalWriter:
             raise ForceAboveCap(
                 f"the grip force is {max(self._forces.newest.force_n):.2f} N, force_max_n is "
                 f"{settings.force_max_n} N (and {settings.force_noise_n} N for noise): "
-                f"the driving currents are lowered and the part kept; clear the fault, then "
-                f"release the part"
+                f"currents that can press so much are lowered, the part is kept; check part and "
+                f"pads, clear the fault, then release the part"
             )
 
     def check(self, goals: Sequence[ServoGoal], state: ServoFeedback) -> None:

@@ -31,7 +31,7 @@ from cell.runtime import simulate
 from cell.sensors.guard import GuardedSource
 from cell.simulation import InProcessPlacer, simulator_settings
 from gripper.dynamixel import models
-from gripper.errors import LimitExceeded, PortLost
+from gripper.errors import ForceAboveCap, LimitExceeded, PortLost
 from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
@@ -377,7 +377,7 @@ def test_each_approach_has_a_zero_of_its_own_while_z_drifts(make_bench) -> None:
         bench.sleep(0.1)
         bench.life.tick()
     day.clear()
-    bench.inject("uskin.drift=100")
+    day = bench.inject("uskin.drift=100")
     bench.controller.moves.present("box")
     bench.controller.grip(4.0, Pose())
     assert bench.controller.hand.phase is GripperPhase.HOLDING
@@ -385,10 +385,14 @@ def test_each_approach_has_a_zero_of_its_own_while_z_drifts(make_bench) -> None:
     zero = bench.controller.zeroing.taxels
     assert (zero.offset_counts - first.offset_counts).min() > 1750
     assert zero.n_frames == 20
-    for _ in range(1600):
-        bench.sleep(0.005)
-        bench.life.tick()
+    bench.idle(8.0)
     assert bench.grip_n == pytest.approx(4.0, abs=0.9), "a drifting zero moves the fingers"
+    day.clear()
+    bench.inject("uskin.drift=1000")
+    with pytest.raises(ForceAboveCap):
+        bench.idle(10.0)
+    bench.sleep(1.0)
+    assert 3.0 < bench.grip_n < 5.0, "a false force lets the part go"
 
 
 def test_friction_that_holds_a_force_is_no_frozen_sensor() -> None:
