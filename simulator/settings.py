@@ -44,8 +44,7 @@ class SimulatedServoSettings:
         else:
             drive = drawn_drive(self.model, drawn_by if self.gearing == "drawn" else None)
             motor = ServoMotor(self.model, figures=drive, noise=ServoNoise(drawn_by))
-        own = ("friction_factor", "kt_factor", "overload_rule")
-        for name in own:
+        for name in ("friction_factor", "kt_factor", "overload_rule"):
             setattr(motor, name, getattr(self, name))
         return motor
 

@@ -29,6 +29,8 @@ _STUFF_PER_QUIET_BYTE = 9.1 / 7
 """Stuff bits of a byte of 0x00 or 0xFF: 9.1 in a message with 7 of them (as above)."""
 _HOST = -1
 """Priority of the host's messages, which go before all others."""
+_OUTBOX_LIMIT = 100
+"""Most messages that wait in the adapter of the host."""
 
 
 def mean_bits(*burst: bytes) -> float:
@@ -151,8 +153,6 @@ _HIGHEST_ID = 0x7FF
 """Largest identifier of 11 bits: it goes last."""
 _FLOOD_S = 0.02
 """Longest wait in s of a flooding message: a full controller sends nothing more."""
-_OUTBOX_LIMIT = 100
-"""Most messages that wait in the adapter of the host."""
 _INBOX_LIMIT = 100_000
 """Most messages in the adapter's memory: half a minute of frames at 50 Hz."""
 

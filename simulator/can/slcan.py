@@ -44,8 +44,8 @@ class SlcanAdapter:
         sent_after_s
             Earliest time in s at which the client may have sent them, if the exact time is not
             known; None: ``now_s``. Each command is taken at that time, or when the wire is free
-            again, at the latest now. So no SYNC comes into the burst of the one before unless the
-            client has sent it so, also after a stall of the simulator.
+            again, at the latest now. So the burst of one SYNC ends before the next SYNC, unless the
+            client sent them closer together; also after a stall of the simulator.
         """
         self._input += data
         *lines, rest = self._input.split(b"\r")

@@ -59,7 +59,7 @@ class ServoBusDevice:
         self._line_free_s = float("-inf")
         self._queue: list[tuple[float, int, bytes]] = []
         self._order = itertools.count()
-        self._burst: int | None = None  # number of the last one of another device
+        self._burst: int | None = None  # number of the last burst of another device
 
     @property
     def unplugged(self) -> bool:
@@ -286,11 +286,9 @@ class SerialDevice(Protocol):
 
     def transmit(self, now_s: float) -> bytes:
         """Return the bytes that have reached the host by ``now_s``."""
-        ...
 
     def next_event_s(self) -> float:
         """Return when the next bytes reach the host; infinity: none are under way."""
-        ...
 
     def drop_pending(self) -> None:
         """Forget bytes under way."""

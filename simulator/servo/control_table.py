@@ -78,8 +78,6 @@ class Item(Register):
 
     values: range | frozenset[int]
     """Accepted raw values; anything else is a Data Range Error."""
-    wire: int
-    """Address on the wire."""
 
 
 class WritePlan(NamedTuple):
@@ -107,9 +105,7 @@ def _items(model: ServoModel) -> Mapping[int, Item]:
     if is_x330(model):
         ranges["baud_rate"], ranges["protocol_type"] = (0, 6), (2, 2)
     return {
-        register.address: _item(
-            register, register.address, ranges.get(register.name, register.bounds), _MODES
-        )
+        register.address: _item(register, ranges.get(register.name, register.bounds), _MODES)
         for register in REGISTERS.values()
         if register.name not in model.absent
     }
@@ -126,13 +122,13 @@ def _rh_p12_item(row: rh_p12.Row) -> Item:
         eeprom=row.address < rh_p12.EEPROM_END,
     )
     bounds = register.bounds if row.low is None or row.high is None else (row.low, row.high)
-    return _item(register, row.address, bounds, rh_p12.MODES)
+    return _item(register, bounds, rh_p12.MODES)
 
 
-def _item(register: Register, wire: int, bounds: tuple[int, int], modes: frozenset[int]) -> Item:
+def _item(register: Register, bounds: tuple[int, int], modes: frozenset[int]) -> Item:
     low, high = bounds
     values = modes if register.name == "operating_mode" else range(low, high + 1)
-    return Item(**asdict(register), values=values, wire=wire)
+    return Item(**asdict(register), values=values)
 
 
 class ServoRegisters:
@@ -167,11 +163,6 @@ class ServoRegisters:
         self.load_factory()
         for name, value in settings.items():
             self.configure(name, value)
-
-    @property
-    def items(self) -> tuple[Item, ...]:
-        """All items."""
-        return tuple(self._items.values())
 
     def place(self, wire: int) -> int:
         """Return where in the memory a byte is; -1 where the servo has none."""
@@ -249,7 +240,7 @@ class ServoRegisters:
     def load_factory(self) -> None:
         """Set the EEPROM to the factory's values."""
         self.data[0:EEPROM_END] = bytes(EEPROM_END)
-        for item in self.items:
+        for item in self._items.values():
             if item.address < EEPROM_END:
                 self._set(item, self._factory.get(item.name, 0))
 

@@ -202,8 +202,7 @@ class FingerMechanics:
         """Let a person move a finger without torque to a half opening in m.
 
         The finger stops at a contact (`HAND_FORCE_N`) and at its end stops; then the friction of
-        the gearing holds it. A motor with torque is not moved. Raises SimulatorSettingsError if
-        there is no such servo.
+        the gearing holds it. A motor with torque is not moved.
 
         Parameters
         ----------
@@ -212,8 +211,6 @@ class FingerMechanics:
         half_opening_m
             Distance of the pad from the centre plane in m; beyond an end stop: up to the stop.
         """
-        if not 0 <= axis < len(self.motors):
-            raise SimulatorSettingsError(f"there is no servo {axis + 1} to move by hand")
         lowest_m = self._linkage.half_opening_m(self._lower_rad)
         reached_m = min(max(half_opening_m, lowest_m), self._linkage.half_opening_max_m)
         self._hands_rad[axis] = self._linkage.angle_rad(reached_m)

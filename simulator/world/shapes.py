@@ -11,7 +11,6 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -271,15 +270,13 @@ def dumbbell(
     return Revolution(length_m=length_m, radius_m=radius_m)
 
 
-PAPER_OBJECTS: Mapping[str, Shape] = MappingProxyType(
-    {
-        "oval": Ellipsoid(length_m=14e-3, width_m=11.7e-3, height_m=11.7e-3),
-        "cylinder": cylinder(diameter_m=6e-3, length_m=20e-3),
-        "box": Box(length_m=15.9e-3, width_m=10e-3, height_m=10e-3),
-        "ball": ball(diameter_m=9.5e-3),
-        "dumbbell": dumbbell(length_m=13e-3, diameter_m=10e-3),
-    }
-)
+PAPER_OBJECTS: Mapping[str, Shape] = {
+    "oval": Ellipsoid(length_m=14e-3, width_m=11.7e-3, height_m=11.7e-3),
+    "cylinder": cylinder(diameter_m=6e-3, length_m=20e-3),
+    "box": Box(length_m=15.9e-3, width_m=10e-3, height_m=10e-3),
+    "ball": ball(diameter_m=9.5e-3),
+    "dumbbell": dumbbell(length_m=13e-3, diameter_m=10e-3),
+}
 """The five objects of the paper's experiment (table in its section on results)."""
 
 
@@ -453,18 +450,14 @@ _UNITS_M = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 """Unit of a length in a text and its value in m."""
 _LENGTH = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(um|mm|cm|m)")
 
-_KINDS: Mapping[str, tuple[Callable[..., Shape], tuple[str, ...], tuple[str, ...]]] = (
-    MappingProxyType(
-        {
-            "ball": (ball, ("diameter",), ()),
-            "sphere": (ball, ("diameter",), ()),
-            "cylinder": (cylinder, ("diameter", "length"), ()),
-            "box": (Box, ("length", "width", "height"), ()),
-            "ellipsoid": (ellipsoid, ("length",), ("diameter", "width", "height")),
-            "dumbbell": (dumbbell, ("length", "diameter"), ("waist_diameter", "waist_length")),
-        }
-    )
-)
+_KINDS: Mapping[str, tuple[Callable[..., Shape], tuple[str, ...], tuple[str, ...]]] = {
+    "ball": (ball, ("diameter",), ()),
+    "sphere": (ball, ("diameter",), ()),
+    "cylinder": (cylinder, ("diameter", "length"), ()),
+    "box": (Box, ("length", "width", "height"), ()),
+    "ellipsoid": (ellipsoid, ("length",), ("diameter", "width", "height")),
+    "dumbbell": (dumbbell, ("length", "diameter"), ("waist_diameter", "waist_length")),
+}
 """Kind of shape: its function, the lengths that it needs, those that it may have."""
 
 

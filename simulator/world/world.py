@@ -218,7 +218,7 @@ class PhysicalWorld:
         """Press a pad with a person's fingertip; it replaces the previous press.
 
         The finger with the pad does not move: the person also holds it. Raises
-        SimulatorSettingsError if the layout has no such pad, or the patch is beside it.
+        SimulatorSettingsError if the fingertip is beside the pad, or the force is negative.
 
         Parameters
         ----------
@@ -227,8 +227,6 @@ class PhysicalWorld:
         x_m, y_m
             Place on the pad in its plane in m.
         """
-        if not 0 <= pad < self._layout.n_pads:
-            raise SimulatorSettingsError(f"pad is {pad}, must be 0 to {self._layout.n_pads - 1}")
         if not (math.isfinite(force_n) and force_n >= 0.0):
             raise SimulatorSettingsError(f"force_n is {force_n}, must be at least 0")
         grid = PressureGrid(self._layout.pads[pad], self._settings.foam)

@@ -71,7 +71,7 @@ def test_driver_and_simulator_agree_on_the_addresses_that_each_has_written_down(
         shift = MODEL.ram_shift if register.address >= table.RAM_START else 0
         assert (row.address, row.size) == (register.address + shift, register.size)
         assert (row.access == "RW") == register.writable
-    assert not [r for r in ServoRegisters(MODEL, {}).items if r.wire >= 512 and r.eeprom]
+    assert not [at for at, r in ServoRegisters(MODEL, {})._items.items() if at >= 512 and r.eeprom]
 
 
 def test_the_bus_learns_the_table_from_a_ping() -> None:
