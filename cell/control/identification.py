@@ -81,7 +81,10 @@ class EarlyDecider:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identification:
-    """The answer of one grasp-then-classify sequence, with all its grasps: megabytes."""
+    """The answer of one grasp-then-classify sequence, with all its grasps.
+
+    It holds all grasps, so it takes megabytes.
+    """
 
     label: str
     """A taught label, or ``UNKNOWN``."""
@@ -197,7 +200,19 @@ class Judge:
             if self.early_checks is not None and self.early_checks.error is not None:
                 ramp = f"early checks of the ramp of grasp {len(self.records)}"
                 self.complain(ramp, self.early_checks.error)
-        return self._identification(in_grip=in_grip)
+        shape = self._fused_shape()  # first: it may add a complaint
+        return Identification(
+            label=self.decision.label,
+            decision=self.decision,
+            posteriors=tuple(self.posteriors),
+            fused=fuse(self.posteriors),
+            records=tuple(self.records),
+            drift=self.recognizer.grid if isinstance(self.recognizer, DriftFollowing) else None,
+            complaints=tuple(self._complaints),
+            shapes=tuple(self._shapes),
+            shape=shape,
+            in_grip=in_grip,
+        )
 
     def decide(self) -> GraspStep | None:
         """Wait for the answer, while the part is held; return the step of a further ramp, or None.
@@ -252,22 +267,6 @@ class Judge:
             except Exception as error:
                 self.complain(f"after grasp {number}", error)
         self.decision = decide(self.posteriors, self._rule)
-
-    def _identification(self, *, in_grip: bool) -> Identification:
-        """Return the answer of the sequence."""
-        shape = self._fused_shape()
-        return Identification(
-            label=self.decision.label,
-            decision=self.decision,
-            posteriors=tuple(self.posteriors),
-            fused=fuse(self.posteriors),
-            records=tuple(self.records),
-            drift=self.recognizer.grid if isinstance(self.recognizer, DriftFollowing) else None,
-            complaints=tuple(self._complaints),
-            shapes=tuple(self._shapes),
-            shape=shape,
-            in_grip=in_grip,
-        )
 
     def complain(self, when: str, error: Exception) -> None:
         """Keep an error without ending the sequence."""

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from cell.control.journal import Journal
 from cell.control.lifecycle import CellLifecycle
 from cell.control.part import Verification
-from cell.control.records import GraspCollector
 from cell.control.states import Event
 from cell.control.watch import MotionWatch
 from cell.control.zeroing import BORNE_SHARE
@@ -43,21 +42,6 @@ class HeldPart:
     """(n_taxels,) float64: mean counts above those of the open fingers."""
     noise: float = 0.0
     """Sum over the taxels of the variance of the mean, in counts squared."""
-
-
-def measure_held_part(collector: GraspCollector, zero: NDArray[np.float64]) -> HeldPart:
-    """Return the measurement of a held part from the collected periods.
-
-    ``zero``: counts of the open fingers, (n_taxels,) float64.
-    """
-    forces_n = [cycle.force.grip_n for cycle in collector.cycles if cycle.force is not None]
-    openings_m = [cycle.state.aperture_m for cycle in collector.cycles]
-    return HeldPart(
-        force_n=float(np.mean(forces_n)),
-        opening_m=float(np.mean(openings_m)),
-        footprint=collector.counts.mean(axis=0) - zero,
-        noise=float(collector.counts.var(axis=0).sum()) / max(collector.n_frames - 1, 1),
-    )
 
 
 def compared(now: HeldPart, then: HeldPart) -> Verification:
@@ -154,4 +138,11 @@ class KeptPart:
         collector, watch = self.watch.collecting()
         while not collector.n_frames:  # a gap that is too long is a fault of the sensor
             self.hand.hold_at(self.force_n, HELD_LOOK_S, watch)
-        return measure_held_part(collector, self._zero)
+        forces_n = [cycle.force.grip_n for cycle in collector.cycles if cycle.force is not None]
+        openings_m = [cycle.state.aperture_m for cycle in collector.cycles]
+        return HeldPart(
+            force_n=float(np.mean(forces_n)),
+            opening_m=float(np.mean(openings_m)),
+            footprint=collector.counts.mean(axis=0) - self._zero,
+            noise=float(collector.counts.var(axis=0).sum()) / max(collector.n_frames - 1, 1),
+        )

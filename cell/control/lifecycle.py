@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from cell.control.journal import Journal
 from cell.control.states import (
     COMPLETIONS,
+    OF_PHASE,
     TRANSITIONS,
     CellState,
     CellStatus,
@@ -33,16 +34,7 @@ from gripper.errors import (
     fingers_left,
 )
 from gripper.values.outcome import GraspResult
-from gripper.values.state import GripperPhase, shows_nothing
-
-_HOLDING = (
-    GripperPhase.APPROACHING,
-    GripperPhase.RAMPING,
-    GripperPhase.HOLDING,
-    GripperPhase.BACKING_OFF,
-    GripperPhase.HELD_AFTER_FAULT,
-)
-"""Phases of the gripper in which a part may be in the grip."""
+from gripper.values.state import shows_nothing
 
 NO_GRIP = ("no part was gripped", "nothing is held")
 """Message when no grip is kept: unconfirmed, and confirmed by pads and current."""
@@ -103,7 +95,7 @@ class CellLifecycle:
     @property
     def holding(self) -> bool:
         """Whether a part may be in the grip."""
-        return self.hand.phase in _HOLDING
+        return OF_PHASE[self.hand.phase] in (GraspState.GRIPPING, GraspState.HOLDING)
 
     @property
     def fault(self) -> str | None:

@@ -162,11 +162,6 @@ class SelfZeros:
             return self._last is None or last != now or self.new_hand
         return self.when == "always"
 
-    @property
-    def wanted(self) -> bool:
-        """Whether the config demands it at each start; a failure is then a fault."""
-        return self.when == "always"
-
     def of_unit(self, unit: SourceIdentity) -> None:
         """Add the serial numbers of the connected control unit to the identity of the hand."""
         self.hand = {**self.hand, "unit.serial": unit.serial, "unit.boards": list(unit.boards)}
@@ -422,10 +417,11 @@ class Zeroing:
         self.missed = ""
         if not self.zeros.due:
             return
+        always = self.zeros.when == "always"  # a failure is then a fault
         try:
-            self._measure(asked=self.zeros.wanted)
+            self._measure(asked=always)
         except ZeroRefused as error:
-            if self.zeros.wanted:
+            if always:
                 raise
             self._note_each_drive()
             self.missed = (

@@ -267,11 +267,6 @@ class HandProcess:
         """Lines that the process could not open; see `Hand`."""
         return self._loop.ready.missing
 
-    @property
-    def pid(self) -> int:
-        """Process id of the loop."""
-        return self._loop.pid
-
     # -- commands ------------------------------------------------------------------------------
 
     start = _remote(Hand.start)

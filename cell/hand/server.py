@@ -61,18 +61,13 @@ class Outbox:
         """Whether the other end is gone."""
 
     @property
-    def full(self) -> bool:
-        """Whether the next period would be dropped."""
-        return len(self._waiting) >= self._limit
-
-    @property
     def empty(self) -> bool:
         """Whether the other end has taken everything."""
         return not self._waiting
 
     def post(self, event: HandMessage) -> None:
         """Send now or later; drop a period beyond the limit."""
-        if isinstance(event, HandPeriod) and self.full:
+        if isinstance(event, HandPeriod) and len(self._waiting) >= self._limit:
             self.dropped += 1
             return
         self._waiting.append(packed(event))

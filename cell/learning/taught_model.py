@@ -231,7 +231,7 @@ class TaughtModel:
 
         Only available grasps count. No shape is known before `read_shapes`.
         """
-        counts, unread = Counter(grasp.label for grasp in self.training_set), self._unread
+        counts, unread = Counter(grasp.label for grasp in self.training_set), self.unread
         return {
             label: (
                 counts[label],
@@ -240,14 +240,9 @@ class TaughtModel:
             for label in dict.fromkeys((*self.labels, *counts))
         }
 
-    @property
-    def shapes_read(self) -> bool:
-        """Whether `read_shapes` has nothing to do."""
-        return not self._unread
-
     def read_shapes(self) -> None:
         """Read the missing shapes of `objects`: some tenths of a second for each."""
-        for label, grasp in self._unread.items():
+        for label, grasp in self.unread.items():
             newest = [g for g in self.training_set if g.label == label][-_N_SHAPES:]
             shapes = [shape for g in newest if (shape := self.shape_of(g))]
             self._shapes[label] = grasp, fuse_shapes(shapes) if shapes else None
@@ -266,8 +261,8 @@ class TaughtModel:
         return self._n_trained + self._n_read
 
     @property
-    def _unread(self) -> dict[str, Grasp]:
-        """The newest grasps of the objects whose shape was not read from them yet."""
+    def unread(self) -> dict[str, Grasp]:
+        """The newest grasps of the objects whose shape `read_shapes` has not read from them yet."""
         newest = {grasp.label: grasp for grasp in self.training_set}
         return {k: g for k, g in newest.items() if self._shapes.get(k, (None,))[0] is not g}
 
@@ -298,42 +293,32 @@ class TaughtModel:
     def remark_on(self, records: Sequence[GraspRecord]) -> str:
         """Follow the drift with the grasps of an answer; return a remark for the operator, or "".
 
-        It remarks once that the drift has become likely, that it is gone, or that the model uses no
-        self-zero.
+        Grasps whose ramp ended below its force, or that held nothing, are omitted. It remarks once
+        that the drift has become likely, that it is gone, or that the model uses no self-zero.
         """
-        if remark := self._follow(records):
-            return remark
         recognizer = self.recognizer
-        without = isinstance(recognizer, DriftFollowing) and recognizer.zero is None
+        if not isinstance(recognizer, DriftFollowing):
+            return ""
+        if self.config.recognition.follow_drift:
+            for record in records:
+                outcome = record.outcome
+                if outcome.result is GraspResult.FORCE_REACHED and not outcome.ended_early:
+                    recognizer = recognizer.follow(record.grasp)
+            self._with_grid(grid := recognizer.grid)
+            # It is gone when that is likelier than not: no remark alternates with the other.
+            if grid.unchanged >= 0.5 if self._drift_remarked else grid.likely:
+                self._drift_remarked = not self._drift_remarked
+                if self._drift_remarked:
+                    return f"the sensors have drifted since teaching: {drift_text(grid.drift)}"
+                return "the sensors are again as at the teaching"
         zeroed = any(record.grasp.zero is not None for record in records)
-        if self._zero_remarked or not (without and zeroed):
+        if self._zero_remarked or recognizer.zero is not None or not zeroed:
             return ""
         self._zero_remarked = True
         return (
             "the model was taught without a self-zero, so today's self-zero is not used and "
             "answers allow for any drift: teach again after a self-zero, or gauge"
         )
-
-    def _follow(self, records: Sequence[GraspRecord]) -> str:
-        """Follow the drift with whole grasps; return a remark when it becomes likely, or is gone.
-
-        Grasps whose ramp ended below its force, or that held nothing, are omitted.
-        """
-        recognizer = self.recognizer
-        if not self.config.recognition.follow_drift or not isinstance(recognizer, DriftFollowing):
-            return ""
-        for record in records:
-            outcome = record.outcome
-            if outcome.result is GraspResult.FORCE_REACHED and not outcome.ended_early:
-                recognizer = recognizer.follow(record.grasp)
-        self._with_grid(grid := recognizer.grid)
-        # It is gone when that is likelier than not: no remark alternates with the other.
-        if grid.unchanged < 0.5 if self._drift_remarked else not grid.likely:
-            return ""
-        self._drift_remarked = not self._drift_remarked
-        if self._drift_remarked:
-            return f"the sensors have drifted since teaching: {drift_text(grid.drift)}"
-        return "the sensors are again as at the teaching"
 
     def _with_grid(self, grid: DriftGrid) -> None:
         recognizer = self.recognizer

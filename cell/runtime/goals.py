@@ -1,7 +1,7 @@
 """Goals of a host's jobs, as values or as mappings, and their checks."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
@@ -123,10 +123,7 @@ class SortGoal(_PlannedGoal):
 Goal = TeachGoal | GaugeGoal | ZeroGoal | IdentifyGoal | GripGoal | VerifyGoal | SortGoal
 """Goal of a job."""
 
-TASKS: dict[str, type[_Goal]] = {
-    goal.task: goal
-    for goal in (TeachGoal, GaugeGoal, ZeroGoal, IdentifyGoal, GripGoal, VerifyGoal, SortGoal)
-}
+TASKS: dict[str, type[_Goal]] = {goal.task: goal for goal in get_args(Goal)}
 """Kind of goal of each task."""
 
 

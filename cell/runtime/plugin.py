@@ -326,7 +326,7 @@ class TactileCellPlugin:
         with each.
         """
         with self._starting:
-            if not self.model.shapes_read and not (self._reading and self._reading.is_alive()):
+            if self.model.unread and not (self._reading and self._reading.is_alive()):
                 read = self.model.read_shapes
                 self._reading = threading.Thread(target=read, name="taught-shapes", daemon=True)
                 self._reading.start()

@@ -62,7 +62,7 @@ def test_a_job_a_stop_and_the_release(make_cell, simulator) -> None:
     cell = make_cell()
     controller, hand = cell.controller, cell.controller.hand
     assert isinstance(hand, HandProcess)
-    pid = hand.pid
+    pid = hand._loop.pid
     controller.start()
     controller.moves.present("box")
     record = controller.grasp(GraspStep(pose=Pose(), force_n=3.0), label="box")
@@ -115,7 +115,7 @@ def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(make_cell, simulat
     controller.start()
     controller.moves.present("box")
     controller.grip(5.0, Pose())
-    os.kill(hand.pid, signal.SIGTERM)
+    os.kill(hand._loop.pid, signal.SIGTERM)
     with pytest.raises(HandLost, match=r"asked to end \(SIGTERM\); a held part stays held"):
         until(controller.life.tick)
     assert simulator.grip_n() > 0.8
@@ -124,8 +124,8 @@ def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(make_cell, simulat
     controller.release_held()
 
     hand._silence_s = 0.5
-    os.kill(hand.pid, signal.SIGSTOP)
-    stopped = hand.pid
+    os.kill(hand._loop.pid, signal.SIGSTOP)
+    stopped = hand._loop.pid
     begin_s = time.monotonic()
     with pytest.raises(HandLost, match=r"has sent nothing for 0\.5 s"):
         hand.release()

@@ -231,9 +231,9 @@ def model(taught: Any) -> TaughtModel:
 
 def test_objects_have_their_grasps_and_the_size_of_the_newest_three(model) -> None:
     assert model.objects()["ball"] == (5, None)  # who asks does not wait
-    assert not model.shapes_read
+    assert model.unread
     model.read_shapes()
-    assert model.shapes_read
+    assert not model.unread
     objects = model.objects()
     assert {label: n for label, (n, _) in objects.items()} == {"ball": 5, "box": 5}
     shape = objects["ball"][1]
