@@ -154,7 +154,7 @@ class Axis(ABC):
     def identify(self) -> str:
         """Return state and position in words; nothing is changed and nothing moves.
 
-        Raises AxisMissing without an answer, or for another device than configured.
+        Raises AxisSilent without an answer, AxisMissing for another device than configured.
         """
 
     @abstractmethod

@@ -1,9 +1,9 @@
 """CiA 402 drives on a CAN bus: state machine, profile position, homing, quick stop, supervision.
 
-All access is by SDO: it needs no PDO mapping, and each write is confirmed. A moving drive is polled
-some hundred times a second, a standing one is not polled. States and controlwords are those of
-canopen's profile 402. Its node is not used: it waits by the computer's clock, and has no set-point
-and no limits.
+All access is by SDO: it needs no PDO mapping, and each write is confirmed, except the quick stop of
+`Cia402Drive.stop`. A moving drive is polled some hundred times a second, a standing one is not
+polled. States, controlwords and modes are those of canopen's profile 402. canopen's ``BaseNode402``
+is not used: it waits by the computer's clock, and has no set-point and no limits.
 """
 
 import math
@@ -16,11 +16,11 @@ from typing import Any
 import can
 import canopen
 from canopen.nmt import NMT_COMMANDS, NMT_STATES
-from canopen.profiles.p402 import State402
+from canopen.profiles.p402 import OperationMode, State402
 
 from motion import errors, object_dictionary as od
 from motion.axes import POLL_S, Axis, AxisSettings, Watch
-from motion.object_dictionary import HomingMethod, ModeOfOperation, Status
+from motion.object_dictionary import HomingMethod, Status
 from tactile.can.bus import PolledSource, of_another_kind
 from tactile.can.sdo_client import PolledSdoClient, SdoNotAnswered
 from tactile.errors import LinkFault, NodeMissing, ObjectRefused
@@ -235,7 +235,7 @@ class Cia402Drive(Axis):
         here = self.settings.homing is HomingMethod.HERE
         if self.settings.homing is not None and not (here and self._homed):
             self._home(self.settings.homing)
-        self._set_mode(ModeOfOperation.PROFILE_POSITION)
+        self._set_mode(OperationMode.PROFILED_POSITION)
 
     def clear_fault(self, *, reboot: bool) -> None:
         """Clear the fault of the drive, without a restart; see `Axis`."""
@@ -293,7 +293,10 @@ class Cia402Drive(Axis):
         self._bus.send_message(self._client.rx_cobid, _QUICK_STOP_REQUEST)
 
     def standing(self) -> bool:
-        """Return whether the axis stands still after a stop."""
+        """Return whether the axis stands still after a stop.
+
+        If it does, the drive's supervision of the host's heartbeat ends.
+        """
         self._supervised = False
         slow = self.settings.counts(self.settings.velocity) * _STILL_SHARE
         still = abs(self._read("Velocity actual value")) <= slow
@@ -395,7 +398,7 @@ class Cia402Drive(Axis):
                 HomingMethod.NEGATIVE_SWITCH + HomingMethod.POSITIVE_SWITCH - method
             )
         fast = counts(settings.homing_velocity)
-        self._set_mode(ModeOfOperation.HOMING)
+        self._set_mode(OperationMode.HOMING)
         self._write("Homing method", method)
         self._write("Home offset", 0)
         self._write("Homing speeds.Speed during search for switch", fast)
@@ -418,11 +421,11 @@ class Cia402Drive(Axis):
         self._homed = True
         self._write("Controlword", State402.CW_OPERATION_ENABLED)
 
-    def _set_mode(self, mode: ModeOfOperation) -> None:
+    def _set_mode(self, mode: int) -> None:
         self._write("Modes of operation", mode)
         self._until(
             lambda: self._read("Modes of operation display") == mode,
-            f"does not take mode {mode.name}",
+            f"does not take the mode {OperationMode.CODE2NAME[mode].lower()}",
         )
 
     def _enabled_status(self) -> int:

@@ -26,7 +26,7 @@ class AxisRestarted(MotionError):
 
 
 class AxisFault(MotionError):
-    """A drive or servo reports a fault and has stopped by itself."""
+    """A drive or servo is at fault, stalled, outside its limits, or does not take a command."""
 
 
 class LimitSwitchReached(MotionError):

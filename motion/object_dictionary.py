@@ -27,13 +27,6 @@ STAY_IN_QUICK_STOP = 6
 """Quick stop option for a ramp to QUICK STOP ACTIVE, with torque."""
 
 
-class ModeOfOperation(IntEnum):
-    """Values of Modes of operation (6060h) that are used here."""
-
-    PROFILE_POSITION = 1
-    HOMING = 6
-
-
 class HomingMethod(IntEnum):
     """Values of Homing method (6098h) that are used here."""
 

@@ -68,7 +68,7 @@ class ServoAxis(Axis):
     def identify(self) -> str:
         """Return state and position in words; see `Axis`.
 
-        Raises AxisMissing also for a set-up for other goals.
+        Raises AxisMissing also for a Drive Mode that changes the meaning of goals.
         """
         self._loss_s = self.settings.loss_s
         answer = self._ask(lambda: self._bus.ping(self._id))

@@ -12,11 +12,11 @@ from typing import Any
 
 import canopen
 from canopen.objectdictionary import ODVariable
-from canopen.profiles.p402 import State402
+from canopen.profiles.p402 import OperationMode, State402
 from canopen.sdo import constants as sdo
 
 from motion import object_dictionary as od
-from motion.object_dictionary import HomingMethod, ModeOfOperation, Status
+from motion.object_dictionary import HomingMethod, Status
 from simulator.can.node import CanopenDevice
 
 STEP_S = 1e-3
@@ -224,7 +224,7 @@ class SimulatedDrive(CanopenDevice):
         if od.name == "Controlword":
             self._command(value)
         elif od.name == "Modes of operation":
-            if value not in (0, ModeOfOperation.PROFILE_POSITION, ModeOfOperation.HOMING):
+            if value not in (0, OperationMode.PROFILED_POSITION, OperationMode.HOMING):
                 raise canopen.SdoAbortedError(sdo.ABORT_INVALID_VALUE)
             if self.motion.speed != 0.0:
                 raise canopen.SdoAbortedError(sdo.ABORT_APPLICATION_DEVICE_STATE)
@@ -288,7 +288,7 @@ class SimulatedDrive(CanopenDevice):
 
     def _start(self, word: int, *, rising: bool) -> None:
         mode = self.number("Modes of operation")
-        if mode == ModeOfOperation.PROFILE_POSITION:
+        if mode == OperationMode.PROFILED_POSITION:
             if not word & _START_BIT:
                 self._acknowledged = False
             elif rising:
@@ -301,10 +301,10 @@ class SimulatedDrive(CanopenDevice):
                 acceleration = self.number("Profile acceleration")
                 self.motion.go(goal, velocity, acceleration or 1e9)
                 self._acknowledged, self._reached, self._at_switch = True, False, False
-        elif mode == ModeOfOperation.HOMING and rising:
+        elif mode == OperationMode.HOMING and rising:
             self._homing = self._home(self.number("Homing method"))
             self._acknowledged = self._reached = False
-        elif mode == ModeOfOperation.HOMING and not word & _START_BIT:
+        elif mode == OperationMode.HOMING and not word & _START_BIT:
             self._homing = None
 
     # -- motion --------------------------------------------------------------------------------
@@ -322,7 +322,7 @@ class SimulatedDrive(CanopenDevice):
         if self.state == "OPERATION ENABLED":
             self._watch_lag()
             if (
-                self.number("Modes of operation") == ModeOfOperation.PROFILE_POSITION
+                self.number("Modes of operation") == OperationMode.PROFILED_POSITION
                 and motion.resting
             ):
                 near = abs(motion.demand - motion.actual) <= self.number("Position window")

@@ -19,7 +19,7 @@ from typing import Any
 
 import can
 import pytest
-from canopen.profiles.p402 import State402
+from canopen.profiles.p402 import OperationMode, State402
 
 from cell.build import drive_bus
 from cell.config.file import changed_config, load_config
@@ -37,7 +37,7 @@ from motion import object_dictionary as motion_od
 from motion.axes import Axes, Watch
 from motion.drive import Cia402Drive
 from motion.errors import AxisNotOperational
-from motion.object_dictionary import ModeOfOperation, state_of
+from motion.object_dictionary import state_of
 from pytest_tactile_cell.bench import LinkBench
 from pytest_tactile_cell.faults import FaultRegistry
 from pytest_tactile_cell.options import HardwareOptions, config_path
@@ -522,7 +522,7 @@ READY = ("SWITCH ON DISABLED", "READY TO SWITCH ON")
 def test_it_is_a_drive_with_the_modes_that_are_needed(drive: Any) -> None:
     assert drive.device._read("Device type") & 0xFFFF == 402
     modes = drive.device._read("Supported drive modes")
-    assert modes >> (ModeOfOperation.PROFILE_POSITION - 1) & 1
+    assert modes & OperationMode.SUPPORTED["PROFILED POSITION"]
     assert state_of(drive.device._status()) in drive.device.identify()
 
 
