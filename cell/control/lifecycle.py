@@ -205,16 +205,16 @@ class CellLifecycle:
 
     def forget_cancel(self) -> None:
         """Withdraw a pending `cancel`: the sequence that it was meant for is over."""
-        self.cancelled = self.interrupted
+        self.cancelled = False
 
     def check_cancelled(self) -> None:
         """Raise GraspStopped if a stop was requested, during a motion of the hand."""
-        if self.cancelled:
+        if self.cancelled or self.interrupted:
             raise GraspStopped("stopped on request")
 
     def obey_cancel(self, when: str) -> None:
         """Raise CellStopped if a stop was requested while the hand does not move."""
-        if self.cancelled:
+        if self.cancelled or self.interrupted:
             self.forget_cancel()
             raise CellStopped(f"stopped {self.stop_reason} {when}")
 
@@ -273,7 +273,11 @@ class CellLifecycle:
 
     @contextmanager
     def latching_faults(self) -> Iterator[None]:
-        """Keep the grip on every error: a requested stop holds, all else latches a fault."""
+        """Keep the grip on every error.
+
+        A requested stop holds. With empty fingers, a missing part or an unreached pose ends the
+        command. All else latches a fault.
+        """
         try:
             try:
                 yield

@@ -223,8 +223,8 @@ class Hand(Protocol):
     def end_ramp(self) -> None:
         """Let the ramp of the running grasp end where it is; see `Gripper.end_ramp`.
 
-        Safe from any thread, and meant for the watch of a grasp. One that comes too late changes
-        nothing, neither this grasp nor the next.
+        Call it in the watch of a grasp, in the thread that commands the hand. A call that comes too
+        late changes nothing, neither this grasp nor the next.
         """
 
     def release(self, watch: OnPeriod | None = None) -> ReleaseReport:

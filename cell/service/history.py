@@ -414,7 +414,8 @@ class History:
 
     def _write(self) -> None:
         """Write all waiting rows in one transaction."""
-        rows = list(self._waiting)
+        with self._counting:
+            rows = [*self._waiting]
         if not rows:
             return
         with self._opened() as link:
@@ -424,8 +425,10 @@ class History:
             if not self._written.issuperset(row["day"] for row in rows):
                 link.execute(_OLDEST_DAY, (MOST_DAYS,))
         self._written.update(row["day"] for row in rows)
-        for _ in rows:
-            self._waiting.popleft()
+        with self._counting:
+            for row in rows:
+                if self._waiting[0] is row:  # a full queue drops its oldest rows by itself
+                    self._waiting.popleft()
 
     def _summed(self) -> dict[str, Any]:
         """Return the sums of `values`."""

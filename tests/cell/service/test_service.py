@@ -560,6 +560,15 @@ def test_the_sums_have_each_row_before_the_disk_has_it(stored: Stored) -> None:
         assert {name: values["today"][name] for name in names} == expected
 
 
+def test_a_row_that_comes_while_a_full_queue_is_written_is_kept(stored, monkeypatch) -> None:
+    monkeypatch.setattr(history, "_WAITING_MAX", 1)
+    stored.begin()
+    opened = stored.history._opened
+    monkeypatch.setattr(stored.history, "_opened", lambda: (stored.add(part()), opened())[1])
+    stored.look()
+    assert stored.history._waiting
+
+
 def test_a_fault_of_the_start_is_in_the_history(stored: Stored) -> None:
     stored.fault(506, "a part is in the grip")
     stored.history = History(stored.path, lambda: stored.state, wall_s=lambda: stored.now_s)

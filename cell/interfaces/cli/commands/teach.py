@@ -13,7 +13,6 @@ from cell.interfaces.cli.session import cell_config, pads_of, running_cell
 from cell.interfaces.cli.terminal import print_line, progress_bar, show
 from cell.learning.drawing import teach_drawing
 from cell.learning.labelled_grasps import append_to_dataset, dataset_to_extend, name_recorded
-from cell.recording.dataset import read_dataset
 from cell.runtime.goals import TeachGoal
 from cell.simulation import drawn_shape
 
@@ -150,9 +149,8 @@ def _teach_drawing(
     *,
     json_file: Path | None,
 ) -> None:
-
     shape = drawn_shape(drawing)
-    before = read_dataset(dataset) if dataset.exists() else ()
+    before = dataset_to_extend(dataset, pads_of(config))
     with progress_bar() as progress:
         grasps = teach_drawing(
             config,
