@@ -23,7 +23,7 @@ import numpy as np
 from benchmarks._measure import line, repeats
 from benchmarks.recognition._grasps import asked, cell_grasps, figures, followed
 from cell.errors import CellError
-from cell.learning.training import GAUGE_GRASPS
+from cell.runtime.goals import GaugeGoal
 from gripper.errors import GripperError
 from recognition.evaluation.splits import a_day_later
 from recognition.grasp import Grasp
@@ -98,7 +98,7 @@ def main(effort: float = 1.0) -> None:
     line("  followed", figures(answers + asked(day, new)))
     every, groups = [], []
     for label in taught_objects:
-        gauge = [grasp for grasp in untold if grasp.label == label][:GAUGE_GRASPS]
+        gauge = [grasp for grasp in untold if grasp.label == label][: GaugeGoal(label=label).grasps]
         others = [grasp for grasp in untold if not any(grasp is gauged for gauged in gauge)]
         answers = asked(taught.gauge(label, gauge), others)
         every += answers

@@ -1,6 +1,7 @@
 """Zeros of the hand: of the taxels, and with empty fingers that of opening, gains and foam.
 
-The second one is a self-zero: when one is due or refused, and the file of the newest.
+The second one is a self-zero. This module decides when one is due and when it is refused, and saves
+the newest in a file.
 """
 
 import math

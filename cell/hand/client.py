@@ -205,7 +205,7 @@ def _remote(method: Callable[Concatenate[Any, P], T]) -> Callable[Concatenate[An
 
 
 _AT_REST = (GripperPhase.OFF, GripperPhase.IDLE)
-"""Phases without a held part; no part is held then after a loss of the process."""
+"""Phases in which nothing is held: a process that is lost in one of them leaves no part."""
 
 
 class HandProcess:

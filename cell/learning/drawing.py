@@ -105,8 +105,8 @@ def pressed_pad(bed: PadBed, reach_m: NDArray[np.float64], foam: FoamModel) -> P
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Course:
-    """Course of a virtual grasp: the uncertainties of its motion, foam and sensor."""
+class Uncertainty:
+    """Uncertainty of a virtual grasp: of its motion, foam and sensor."""
 
     aperture_sd_m: float = 0.2e-3
     """Standard deviation in m of the measured opening, the same over one grasp."""
@@ -137,20 +137,20 @@ class Course:
     """Largest difference in N between the forces on both pads: the object is held a little."""
 
 
-_USUAL = Course()
+_USUAL = Uncertainty()
 
 
 class VirtualPads:
-    """The two gripping pads of a cell and their foam; draws grasps with a course."""
+    """The two gripping pads of a cell and their foam; draws grasps with an uncertainty."""
 
-    def __init__(self, config: CellConfig, course: Course) -> None:
+    def __init__(self, config: CellConfig, uncertainty: Uncertainty) -> None:
         layout = layout_from_config(config.tactile)
-        self.pads, self.foam, self.course = pad_array(layout), usual_foam(config), course
+        self.pads, self.foam, self.uncertainty = pad_array(layout), usual_foam(config), uncertainty
         self._gripper, self._period_s = config.gripper_settings, config.tactile.frame_period_s
         self._step_m = max(config.mechanics.opening_steps_m())
         self._noise = converter_noise(config)
         # The spread is drawn from few values: their matrices are computed once.
-        shares = np.exp(self.course.spread_sd * np.array([-1.2, -0.4, 0.4, 1.2]))
+        shares = np.exp(self.uncertainty.spread_sd * np.array([-1.2, -0.4, 0.4, 1.2]))
         self._beds = [
             tuple(PadBed(self.pads, pad, float(spread_m)) for pad in layout.gripping_pads)
             for spread_m in self.foam.spread_m * shares
@@ -195,7 +195,7 @@ class VirtualPads:
         open_m = self._gripper.aperture_open_m
         foam = self._drawn_foam(rng)
         beds = self._beds[int(rng.integers(len(self._beds)))]
-        aslant = rng.normal(0.0, self.course.tilt_rad, 2).tolist()
+        aslant = rng.normal(0.0, self.uncertainty.tilt_rad, 2).tolist()
         presses = [
             pressed_pad(bed, reach_m, foam)
             for bed, reach_m in zip(beds, reaches_m(drawing, step.pose, beds, aslant), strict=True)
@@ -229,13 +229,13 @@ class VirtualPads:
 
     def _drawn_foam(self, rng: np.random.Generator) -> FoamModel:
         """Return foam and sensor within their uncertainty."""
-        course, foam = self.course, self.foam
+        uncertainty, foam = self.uncertainty, self.foam
         return replace(
             foam,
-            modulus_pa=foam.modulus_pa * rng.lognormal(0.0, course.modulus_sd),
-            gain=foam.gain * rng.lognormal(0.0, course.gain_sd),
-            densification=foam.densification * rng.lognormal(0.0, course.densification_sd),
-            thickness_m=foam.thickness_m * rng.lognormal(0.0, course.thickness_sd),
+            modulus_pa=foam.modulus_pa * rng.lognormal(0.0, uncertainty.modulus_sd),
+            gain=foam.gain * rng.lognormal(0.0, uncertainty.gain_sd),
+            densification=foam.densification * rng.lognormal(0.0, uncertainty.densification_sd),
+            thickness_m=foam.thickness_m * rng.lognormal(0.0, uncertainty.thickness_sd),
         )
 
     def _motion(
@@ -268,22 +268,22 @@ class VirtualPads:
         rng: np.random.Generator,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return counts (n, n_taxels) with noise, and the depth (n,) in m in both pads together."""
-        course = self.course
+        uncertainty = self.uncertainty
         of_sensor = rng.spawn(1)[0]
-        bend = of_sensor.lognormal(0.0, course.bend_sd)
-        lag = course.lag * of_sensor.uniform()
+        bend = of_sensor.lognormal(0.0, uncertainty.bend_sd)
+        lag = uncertainty.lag * of_sensor.uniform()
         creep = -math.expm1(-1.0 / (_SLOW_S / self._period_s))
         shape = len(force_n), self.pads.n_taxels
         noise = self._noise(rng, math.prod(shape)).reshape(shape)
-        counts = of_sensor.lognormal(0.0, course.noise_sd) * noise
-        slack_n = 0.5 * course.imbalance_n * rng.uniform(-1.0, 1.0)
+        counts = of_sensor.lognormal(0.0, uncertainty.noise_sd) * noise
+        slack_n = 0.5 * uncertainty.imbalance_n * rng.uniform(-1.0, 1.0)
         depth_sum_m = np.zeros(len(force_n))
         for bed, pressed, sign in zip(beds, presses, (1.0, -1.0), strict=True):
             here_n = np.where(force_n > 0.0, np.maximum(force_n + sign * slack_n, 0.0), 0.0)
             depth_m = np.interp(here_n, pressed.force_n, pressed.depth_m)
             depth_sum_m += depth_m
-            gains = rng.lognormal(0.0, course.pad_gain_sd) * np.exp(
-                rng.normal(0.0, course.taxel_gain_sd, len(bed.taxels))
+            gains = rng.lognormal(0.0, uncertainty.pad_gain_sd) * np.exp(
+                rng.normal(0.0, uncertainty.taxel_gain_sd, len(bed.taxels))
             )
             taxels_n = make_interp_spline(pressed.depth_m, pressed.taxels_n, k=1)(depth_m)
             slowly_n = lfilter([creep], [1.0, creep - 1.0], taxels_n, axis=0)
@@ -316,19 +316,19 @@ class VirtualPads:
         self, ramp: ForceRamp, impact_n: float, rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return force and set-point in N in each frame from the start of the ramp."""
-        course, period_s = self.course, self._period_s
+        uncertainty, period_s = self.uncertainty, self._period_s
         actual = ramp.starting_from(impact_n)
         n = math.ceil(actual.duration_s / period_s) + int(rng.integers(0, 3))
         setpoint_n = np.array([actual.setpoint_n(period_s * i) for i in range(n)])
-        scale = rng.normal(1.0, course.force_sd)
+        scale = rng.normal(1.0, uncertainty.force_sd)
         force_n = np.empty(n)
-        held_n, lag_n = impact_n, course.slip_n * rng.uniform()
+        held_n, lag_n = impact_n, uncertainty.slip_n * rng.uniform()
         for i, wanted_n in enumerate(setpoint_n):
             target_n = float(wanted_n) * scale
             over = i >= n - 0.2 / period_s
             if abs(target_n - held_n) > lag_n or over:
                 held_n += (0.3 if over else 1.0) * (target_n - held_n)
-                lag_n = course.slip_n * rng.uniform()
+                lag_n = uncertainty.slip_n * rng.uniform()
             force_n[i] = held_n
         return force_n, setpoint_n
 
@@ -336,7 +336,7 @@ class VirtualPads:
         self, aperture_m: NDArray[np.float64], rng: np.random.Generator
     ) -> NDArray[np.float64]:
         """Return the opening (n,) in m as the encoders measure it."""
-        shift_m = rng.normal(0.0, self.course.aperture_sd_m)
+        shift_m = rng.normal(0.0, self.uncertainty.aperture_sd_m)
         phase_m = rng.uniform(0.0, self._step_m)
         steps: NDArray[np.float64] = np.rint((aperture_m + shift_m - phase_m) / self._step_m)
         return steps * self._step_m + phase_m
@@ -350,7 +350,7 @@ def teach_drawing(
     n_grasps: int,
     *,
     kind: str = "",
-    course: Course = _USUAL,
+    uncertainty: Uncertainty = _USUAL,
     seed: int = 0,
     start_ms: int = 0,
     progress: Progress = silent,
@@ -366,14 +366,14 @@ def teach_drawing(
         The cell: pads, speeds, ramp, plan.
     label, drawing, kind
         Name, shape and class of shape of the object.
-    course
-        Uncertainties of motion, foam and sensor.
+    uncertainty
+        Of motion, foam and sensor.
     seed
         Of poses, forces, noise and all uncertain values.
     start_ms
         Time of the first grasp; each next grasp is a second later.
     """
-    virtual = VirtualPads(config, course)
+    virtual = VirtualPads(config, uncertainty)
     rng = np.random.default_rng([seed, 1])
     grasps: list[Grasp] = []
     steps = plan(config.sequence, n_grasps, seed=seed)

@@ -63,7 +63,7 @@ def distinct_grasps(grasps: Sequence[Grasp], before: Sequence[Grasp] = ()) -> li
     known, first = set(map(key, before)), dict[tuple[int, int], Grasp]()
     for grasp in grasps:
         first.setdefault(key(grasp), grasp)
-    return [grasp for found, grasp in first.items() if found not in known]
+    return [grasp for identity, grasp in first.items() if identity not in known]
 
 
 def dataset_to_extend(path: Path, pads: PadArray) -> tuple[Grasp, ...]:

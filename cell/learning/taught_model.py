@@ -17,7 +17,7 @@ from cell.control.records import GraspRecord, pad_array
 from cell.errors import CellError, CellStateError, ModelError, TrainingSetMissing
 from cell.learning.model import LoadedModel, Trained, check_pads, load_model, save_model
 from cell.learning.shape_reading import shape_reader
-from cell.learning.teaching_summary import ToldApart, told_apart
+from cell.learning.teaching_summary import Separation, separation
 from cell.learning.training import gaugeable, gauged, train
 from cell.plugins import RECOGNIZERS
 from cell.recording.dataset import read_grasps, write_dataset
@@ -217,12 +217,12 @@ class TaughtModel:
                 f"{error.__cause__ or error}; teach more first, or forget the whole object"
             ) from error
 
-    def told_apart(self, label: str) -> ToldApart:
+    def separation(self, label: str) -> Separation:
         """Return how well a taught object differs from the others; runs two small trainings."""
         settings = self.config.recognition
         trainer = RECOGNIZERS[settings.recognizer](use_aperture=settings.use_aperture)
         grasps = [grasp for grasp in self.training_set if grasp.label in self.labels]
-        return told_apart(grasps, label, trainer)
+        return separation(grasps, label, trainer)
 
     # -- taught objects ------------------------------------------------------------------------
 

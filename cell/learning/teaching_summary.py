@@ -109,24 +109,26 @@ def _opening_note(members: Mapping[str, Sequence[Grasp]]) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ToldApart:
-    """How well a taught object differs from the others, by grasps that were left out in turn."""
+class Separation:
+    """How well a taught object differs from the others, by grasps that were left out in turn.
+
+    Both values are None for a single object, or if there are too few grasps.
+    """
 
     nearest: str | None
-    """The other object that is most similar to its grasps; None for a single object."""
+    """The other object that is most similar to its grasps."""
     mistaken_share: float | None
-    """Share of its grasps that are more similar to another object; None for a single object, or if
-    there are too few grasps."""
+    """Share of its grasps that are more similar to another object."""
 
 
 @one_blas_thread()
-def told_apart(grasps: Sequence[Grasp], label: str, trainer: Trainer) -> ToldApart:
+def separation(grasps: Sequence[Grasp], label: str, trainer: Trainer) -> Separation:
     """Return how well an object differs from all others, by two trainings with half of the grasps.
 
     The taught grasps of an object must be in the order of time.
     """
     names = sorted({grasp.label for grasp in grasps})
-    none = ToldApart(nearest=None, mistaken_share=None)
+    none = Separation(nearest=None, mistaken_share=None)
     folds = blocked_folds(np.array([names.index(grasp.label) for grasp in grasps]), _FOLDS)
     answers: list[Posterior] = []
     for held_out in folds if len(names) > 1 else ():
@@ -144,7 +146,7 @@ def told_apart(grasps: Sequence[Grasp], label: str, trainer: Trainer) -> ToldApa
     def likeness(name: str) -> float:
         return sum(float(answer.probability[answer.labels.index(name)]) for answer in answers)
 
-    return ToldApart(
+    return Separation(
         nearest=max(others, key=likeness),
         mistaken_share=sum(answer.best != label for answer in answers) / len(answers),
     )

@@ -69,9 +69,6 @@ def train(grasps: Sequence[Grasp], name: str, *, use_aperture: bool = True) -> T
     return Trained(recognizer=recognizer, trainer_name=name)
 
 
-GAUGE_GRASPS = 3
-"""Grasps of each gauge object at the start of a shift."""
-
 MIN_UNNAMED_GRASPS = 5
 """Least number of unnamed grasps that show a drift."""
 

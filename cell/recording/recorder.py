@@ -69,7 +69,7 @@ class MessageWriter:
 
 
 class Recorder:
-    """Writes frames, cycles, poses, events, grasps and results of one sequence as they come.
+    """Records one program: frames, cycles, poses, states, loop statistics, events, grasps, results.
 
     A full, missing or slow disk never raises into the force loop: the recording stops, and `fault`
     has the reason. `begin` continues it in a new file. Raises RecordingError if the first file
@@ -231,7 +231,7 @@ class Recorder:
     def _put(self, topic: str, t_s: float, values: Mapping[str, Any]) -> None:
         """Add a message; does nothing after a fault.
 
-        On a nearly full disk the file ends with a NOTE.
+        On a nearly full disk the file ends with an event of kind ``note``.
         """
         if self._closed:
             raise RecordingError(f"{self.path} is closed; nothing more can be recorded")

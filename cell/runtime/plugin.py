@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from gripper.values.outcome import ReleaseReport
     from tactile.layout import TaxelLayout
 
-_COMMANDS = dict.fromkeys(TASKS, Command.GRASP) | {"grip": Command.GRIP, "verify": Command.VERIFY}
+_COMMAND_OF = dict.fromkeys(TASKS, Command.GRASP) | {"grip": Command.GRIP, "verify": Command.VERIFY}
 """First command of the controller in each task."""
 _NAMING = ("identify", "sort")
 """Tasks that name parts: they clear the last answer."""
@@ -389,7 +389,7 @@ class TactileCellPlugin:
         work = partial(getattr(self._tasks, checked.task), checked)
         if self._simulation is not None and isinstance(checked, TeachGoal | GaugeGoal):
             work = partial(self._simulation.named, checked.label, checked.present, work)
-        return self._accept(work, _COMMANDS[checked.task], checked.task, on_progress)
+        return self._accept(work, _COMMAND_OF[checked.task], checked.task, on_progress)
 
     def _with_part(self, goal: Goal) -> Goal:
         """Return a goal with the parts for the simulated cell, which refuses unknown ones.
@@ -431,8 +431,8 @@ class TactileCellPlugin:
             As `start` and `start_command`.
         """
         self._worker.check_free()
-        if task in _COMMANDS:
-            self.cell.controller.life.check(_COMMANDS[task])
+        if task in _COMMAND_OF:
+            self.cell.controller.life.check(_COMMAND_OF[task])
             self._check_task(task)
         else:
             self.cell.controller.life.check(self._needed(Command(task)))

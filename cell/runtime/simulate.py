@@ -92,7 +92,7 @@ def serve_simulated_cell(
 def client_config(config: CellConfig, announced: dict[str, Any]) -> CellConfig:
     """Return the config with which another process reaches the simulated cell.
 
-    ``found``: announced values of the cell; see `simulator.realtime.process.serve`.
+    ``announced``: values of the cell; see `simulator.realtime.process.serve`.
     """
     timeouts = {
         f"{section}.{key}": max(getattr(getattr(config, section), key), least)

@@ -1,4 +1,7 @@
-"""Tasks of a host's jobs: teach, identify, grip, verify, sort; with progress as plain data."""
+"""Tasks of a host's jobs: teach, gauge, zero, identify, grip, verify, sort.
+
+Their progress is plain data.
+"""
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
@@ -302,9 +305,9 @@ class Tasks:
         if not goal.train:
             return len(collection.records)
         left_out = self.model.train(needed=goal.label)
-        apart = self.model.told_apart(goal.label)
         n_grasps = self.model.objects()[goal.label][0]
-        taught = {"label": goal.label, "n_grasps": n_grasps, "left_out": left_out} | asdict(apart)
+        taught = {"label": goal.label, "n_grasps": n_grasps, "left_out": left_out}
+        taught |= asdict(self.model.separation(goal.label))
         report(values | {"taught": taught | {"zero_note": zero_note(self.model.training_set)}})
         try:
             self.file.write()

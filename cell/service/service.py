@@ -46,8 +46,8 @@ _KEEPING = (*_UNMOVING, Command.RESET.value, "verify", "forget", "forget_drift")
 _POSE_LOOK_S, _POSE_GONE_S = 0.02, 0.05
 """Period in s of the check whether a pose is still needed, and longest wait in s for the end of an
 abandoned one before the next job."""
-_COMMANDS = (Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN)
-"""Commands of clients."""
+_HOST_COMMANDS = (Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN)
+"""Commands of hosts."""
 
 _STATUS_VALUES = ("job", "commander", "held_by", "held_part", "pose_seq", "pose")
 """Values of a `Snapshot` that the state has as they are."""
@@ -254,7 +254,7 @@ class Service:
         """
         refusals: dict[str, CellError | None] = {}
         with self._lock:
-            for task in (*TASKS, *_COMMANDS):
+            for task in (*TASKS, *_HOST_COMMANDS):
                 try:
                     self._check_stopped(task)
                     if task != Command.CLEAR or not self._gone:

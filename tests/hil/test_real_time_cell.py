@@ -124,8 +124,7 @@ def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(make_cell, simulat
     controller.release_held()
 
     hand._silence_s = 0.5
-    os.kill(hand._loop.pid, signal.SIGSTOP)
-    stopped = hand._loop.pid
+    os.kill(stopped := hand._loop.pid, signal.SIGSTOP)
     begin_s = time.monotonic()
     with pytest.raises(HandLost, match=r"has sent nothing for 0\.5 s"):
         hand.release()

@@ -14,7 +14,7 @@ from cell.control.plan import Pose
 from cell.control.records import pad_array
 from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.app import app
-from cell.learning.drawing import Course, VirtualPads, reaches_m, teach_drawing
+from cell.learning.drawing import Uncertainty, VirtualPads, reaches_m, teach_drawing
 from cell.learning.shape_reading import after_label, in_words, shape_reader, usual_foam
 from cell.recording.dataset import read_dataset, write_dataset
 from cell.runtime.goals import checked_goal
@@ -31,14 +31,9 @@ BALL = "sphere:diameter=9.5mm"
 BOX = "box:length=15.9mm,width=10mm,height=10mm"
 CYLINDER = "cylinder:diameter=6mm,length=20mm"
 RATE_N_S, FRAME_S = 20.0, 0.02
-SURE = Course(
-    **dict.fromkeys(
-        [f"{key}_sd" for key in ("modulus", "gain", "spread", "densification", "thickness", "bend")]
-        + ["lag", "noise_sd"],
-        0.0,
-    )
-)
-"""A course on the usual foam and sensor."""
+_OFF = "modulus_sd gain_sd spread_sd densification_sd thickness_sd bend_sd noise_sd lag"
+SURE = Uncertainty(**dict.fromkeys(_OFF.split(), 0.0))
+"""No uncertainty of foam and sensor: the usual ones."""
 
 
 def refused(*arguments: object) -> str:
@@ -50,7 +45,7 @@ def refused(*arguments: object) -> str:
 def test_a_virtual_grasp_looks_like_the_cells_own(taught) -> None:
     config = taught.config
     own = [g for g in taught.grasps if g.label == "ball"]
-    drawn = teach_drawing(config, "ball", drawn_shape(BALL), 40, kind="sphere", course=SURE)
+    drawn = teach_drawing(config, "ball", drawn_shape(BALL), 40, kind="sphere", uncertainty=SURE)
     first = drawn[0]
     assert first.pads.same_as(own[0].pads)
     assert (first.source, first.shape) == ("drawing", "sphere")
@@ -147,7 +142,7 @@ def test_simulated_and_virtual_pads_read_as_the_config_says(tactile) -> None:
 def test_virtual_grasps_and_sizes_follow_the_law_of_the_sensor(tactile) -> None:
     config = CellConfig.model_validate({"tactile": tactile, "simulator": {"noise_level": 0.0}})
     calibration = make_calibration(config.tactile, layout_from_config(config.tactile))
-    grasps = teach_drawing(config, "ball", drawn_shape(BALL), 4, course=SURE)
+    grasps = teach_drawing(config, "ball", drawn_shape(BALL), 4, uncertainty=SURE)
     for grasp in grasps:
         pads_n = calibration.force_n(grasp.counts[-3:].mean(axis=0))
         for pad in (0, 1):

@@ -22,7 +22,7 @@ from cell.errors import CellError, ModelError
 from cell.learning.model import Trained, load_model, save_model
 from cell.learning.parallel import workers
 from cell.learning.taught_model import TaughtModel
-from cell.learning.teaching_summary import ToldApart, teaching_notes, told_apart
+from cell.learning.teaching_summary import Separation, separation, teaching_notes
 from cell.learning.training import calibrate_model, identify_recorded, train
 from cell.recording.reader import read_recording
 from cell.runtime import tasks
@@ -288,10 +288,10 @@ def test_the_nearest_object_is_that_which_grasps_look_like() -> None:
         for number in range(1, 9)
     ]
     trainer: Any = Nearsighted(())
-    assert told_apart(grasps, "pin", trainer) == ToldApart(nearest="bolt", mistaken_share=0.5)
-    assert told_apart(grasps, "nut", trainer) == ToldApart(nearest="bolt", mistaken_share=0.0)
+    assert separation(grasps, "pin", trainer) == Separation(nearest="bolt", mistaken_share=0.5)
+    assert separation(grasps, "nut", trainer) == Separation(nearest="bolt", mistaken_share=0.0)
     alone = [grasp for grasp in grasps if grasp.label == "pin"]
-    assert told_apart(alone, "pin", trainer) == ToldApart(nearest=None, mistaken_share=None)
+    assert separation(alone, "pin", trainer) == Separation(nearest=None, mistaken_share=None)
 
 
 # -- Evaluation spread over processes --------------------------------------------------------------

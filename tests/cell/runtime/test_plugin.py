@@ -35,7 +35,7 @@ from cell.errors import (
 )
 from cell.learning.model import Trained
 from cell.learning.taught_model import TaughtModel
-from cell.learning.teaching_summary import told_apart
+from cell.learning.teaching_summary import separation
 from cell.recording import retention
 from cell.recording.dataset import read_dataset, write_dataset
 from cell.recording.reader import read_recording
@@ -88,8 +88,8 @@ def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(make_plugin: Any)
 
 
 def test_a_teaching_that_was_stopped_early_blocks_no_other(make_plugin, monkeypatch) -> None:
-    compared = Mock(wraps=told_apart)
-    monkeypatch.setattr("cell.learning.taught_model.told_apart", compared)
+    compared = Mock(wraps=separation)
+    monkeypatch.setattr("cell.learning.taught_model.separation", compared)
     notes: list[str] = []
     plugin = make_plugin(note=notes.append)
     done(plugin, TeachGoal(label="ball", grasps=3))

@@ -554,10 +554,9 @@ def test_the_sums_have_each_row_before_the_disk_has_it(stored: Stored) -> None:
     for report in (part(), part("")):
         stored.add(report)
     stored.fault(301, "a servo is hot")
-    names = ("parts", "missed", "faults")
     expected = {"parts": 2, "missed": 1, "faults": 1}
     for values in (stored.history.values(), stored.look()):
-        assert {name: values["today"][name] for name in names} == expected
+        assert values["today"].items() >= expected.items()
 
 
 def test_a_row_that_comes_while_a_full_queue_is_written_is_kept(stored, monkeypatch) -> None:
