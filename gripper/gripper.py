@@ -31,7 +31,7 @@ from gripper.lifecycle import Lifecycle, bus_is_lost
 from gripper.mechanics.identification import fit_load
 from gripper.mechanics.kinematics import Linkage, ParallelLinkage
 from gripper.mechanics.transmission import Mechanics
-from gripper.servos.goal_limits import OPENING_MARGIN_RAD
+from gripper.servos.goal_limits import OPENING_MARGIN_RAD, check_temperature
 from gripper.servos.group import Servos
 from gripper.servos.watchdog_proof import prove_watchdog
 from gripper.settings import GripperSettings
@@ -201,6 +201,8 @@ class Gripper:
             if state is None:
                 return None
             self._servos.poll(state, watchdog=self._life.part_possible)
+            if self._life.part_possible:
+                check_temperature(self.settings, state)
         except BaseException as error:
             self._life.latch(error)
             raise
@@ -360,7 +362,7 @@ class Gripper:
                 state = self._runner.run(HoldStep(self.settings, control, hold_s).step)
             self._servos.disarm_watchdog()
         carrying = HoldStep(self.settings, control, inf)
-        control.grip.carried_s = state.t_s + RECOVERED_S
+        control.grip.carried_s = min(control.grip.carried_s, state.t_s + RECOVERED_S)
         self._carried = self._runner.start_command(carrying.step, now_s=state.t_s)
         return state
 

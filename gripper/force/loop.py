@@ -220,7 +220,7 @@ class LoopRunner:
             # A goal beyond a limit may be caused by a force above the cap. Report that fault first.
             self.servos.goals.check_force(noise_excluded=True)
             raise
-        except errors.PartLost:
+        except (errors.PartLost, errors.PartSlipped):
             # A servo without torque lets the part go. Report this as the cause.
             self.servos.check_torques()
             raise

@@ -93,8 +93,8 @@ class BusLossMonitor:
             self._recent.clear()  # of a bus that was mended later they say nothing
             raise type(error)(
                 f"the servo bus was lost for {lost_s:.3f} s (bus_loss_s is "
-                f"{self._settings.bus_loss_s} s): a part may still be gripped; nothing more is "
-                f"written, the servos' own watchdog acts. {error}"
+                f"{self._settings.bus_loss_s} s): a part may still be gripped; the last goals "
+                f"stay, or the servos' own watchdog acts. {error}"
             ) from error
         # A lasting loss is a loss of the bus; the share is checked at the start of the next one.
         if self._in_row == 1 and (lost := sum(self._recent)) > self._most_lost:

@@ -113,14 +113,18 @@ def test_a_carried_part_that_grows_pushes_the_fingers_open_against_their_frictio
     cell.hold_part(RAMP)
     cell.gripper.hold_at(4.0, 0.2)
     ticks(cell, 2.0)
+    cell.gripper.hold_at(4.0, 0.2)  # the same force: it is still carried
     ticks(cell, 2.0, creep_m_s=-2e-4)
     assert 3.5 < cell.force_n < 6.5
     assert cell.gripper.release().opened == (1, 2)
 
 
-def test_a_part_that_is_held_by_a_servo_that_is_too_warm_is_kept_with_a_fault(cell) -> None:
+@pytest.mark.parametrize("frozen", [False, True])
+def test_a_part_held_by_a_servo_that_is_too_warm_is_kept_with_a_fault(cell, frozen: bool) -> None:
     cell.hold_part(RAMP)
     cell.gripper.hold_at(4.0, 0.2)
+    if frozen:
+        cell.gripper.keep_grip()
     cell.motors[0].temperature_c = cell.settings.temperature_max_c + 2.0
     with pytest.raises(LimitExceeded, match="take out a part that is held"):
         ticks(cell, 1.0)
