@@ -14,7 +14,6 @@ from gripper.force.estimates.grip import SOFTEST_N_M
 from gripper.force.loop import Action, LoopRunner, Moment
 from gripper.force.ramp import ForceRamp
 from gripper.force.supervision.empty_grip import EmptyGrip
-from gripper.force.supervision.slip import SlipWatch
 from gripper.mechanics.transmission import Mechanics
 from gripper.servos.goal_limits import EQUAL, check_temperature, standing
 from gripper.settings import GripperSettings
@@ -96,7 +95,7 @@ class GraspRun:
             return GraspOutcome(result=GraspResult.NO_CONTACT, final_aperture_m=contact.aperture_m)
         self._widest_m = max(self._widest_m, reached.touch_m)
         self._touched += 1
-        return self._press(ramp, reached, slip=SlipWatch(self._settings))
+        return self._press(ramp, reached, slips=True)
 
     def press_pads_together(self, ramp: ForceRamp) -> GraspOutcome:
         """Close the empty fingers onto each other and follow a ramp, see `Gripper`."""
@@ -107,12 +106,12 @@ class GraspRun:
         self._end.clear()
         if reached.state.aperture_m > ZERO_RANGE_M:
             self._end.set()
-        return self._press(ramp, reached, slip=None)
+        return self._press(ramp, reached, slips=False)
 
-    def _press(self, ramp: ForceRamp, reached: Approach, *, slip: SlipWatch | None) -> GraspOutcome:
+    def _press(self, ramp: ForceRamp, reached: Approach, *, slips: bool) -> GraspOutcome:
         """Follow a ramp on the touched part; forget a part that is lost on the ramp."""
         self._set_phase(GripperPhase.RAMPING)
-        self._ramp_step = step = ContactStep(ramp, reached, self._end, slip=slip)
+        self._ramp_step = step = ContactStep(ramp, reached, self._end, slips=slips)
         final = self._runner.run(step.step)
         if step.lost:
             ran = step.control is not None and step.control.watch.ran
@@ -132,7 +131,7 @@ class GraspRun:
     def squeeze(self, control: GripControl, ramp: ForceRamp) -> GraspOutcome:
         """Follow a further ramp in the same grip; see `Gripper.squeeze`."""
         begun = ramp.starting_from(control.grip.setpoint_n)
-        step = GripStep(self._settings, control, begun, slip=SlipWatch(self._settings))
+        step = GripStep(self._settings, control, begun, levels=True)
         return step.outcome(self._runner.run(step.step))
 
     def _approach(self, mechanics: Mechanics) -> Approach:
@@ -235,9 +234,10 @@ class GripStep:
         Control of the held part; None before the contact.
     ramp
         The change of force.
-    slip
-        Slip detector at the levels of the ramp; None if the force only changes, or nothing can
-        slip.
+    levels
+        Whether the levels of the ramp are part of its actions.
+    slips
+        Whether a part could slip.
     """
 
     def __init__(
@@ -246,7 +246,8 @@ class GripStep:
         control: GripControl | None,
         ramp: ForceRamp,
         *,
-        slip: SlipWatch | None = None,
+        levels: bool = False,
+        slips: bool = True,
     ) -> None:
         self.control = control
         """Control of the grip force; None before it began."""
@@ -254,7 +255,7 @@ class GripStep:
         """True when the part was lost; then the fingers hold their positions."""
         self._settings = settings
         self._time = RampTime(settings, ramp)
-        self._slip = slip
+        self._levels, self._slips = levels, slips
         self._peak_n = 0.0
         self._contact: ServoFeedback | None = None
         self._ended = False
@@ -272,7 +273,7 @@ class GripStep:
             )
         self._time.pass_by(moment.dt_s, self.control.grip.force_n, moment.state.aperture_m)
         action = self._action(moment, self.control)
-        return action if self._slip is not None else replace(action, level=None)
+        return action if self._levels else replace(action, level=None)
 
     def _action(self, moment: Moment, control: GripControl) -> Action:
         """Return the action of one period at the present time on the ramp."""
@@ -282,8 +283,8 @@ class GripStep:
         self._peak_n = max(self._peak_n, control.force_n)
         if self.lost:
             goals = standing(goals, moment.state)
-        elif self._slip is not None and not control.watch.suspicious:
-            self._slip.check(moment, level, setpoint_n=setpoint_n)
+        elif self._slips and level is not None and not control.watch.suspicious:
+            control.slip.check(moment, setpoint_n=setpoint_n)
         done = self.lost or self._over(control.force_n)
         if done and not self.lost:
             # The last goals stay in force: a push would go on.
@@ -333,14 +334,14 @@ class ContactStep(GripStep):
         End of the approach.
     end
         Request to end the ramp early.
-    slip
+    slips
         As `GripStep`.
     """
 
     def __init__(
-        self, ramp: ForceRamp, reached: Approach, end: threading.Event, *, slip: SlipWatch | None
+        self, ramp: ForceRamp, reached: Approach, end: threading.Event, *, slips: bool
     ) -> None:
-        super().__init__(reached.settings, None, ramp, slip=slip)
+        super().__init__(reached.settings, None, ramp, slips=slips)
         self._reached, self._contact = reached, reached.state
         self._end = end
         self._rest = ContactRest(reached.state.t_s, hard_n=_HARD * reached.settings.contact_force_n)
@@ -383,7 +384,7 @@ class HoldStep(GripStep):
     def __init__(self, settings: GripperSettings, control: GripControl, duration_s: float) -> None:
         held_n = control.grip.setpoint_n
         held = ForceRamp.linear(held_n, 1.0, start_n=held_n)
-        super().__init__(settings, control, held, slip=SlipWatch(settings))
+        super().__init__(settings, control, held)
         self._left_s = duration_s
 
     def step(self, moment: Moment) -> Action:
@@ -393,7 +394,7 @@ class HoldStep(GripStep):
         """
         check_temperature(self._settings, moment.state)
         self._left_s -= moment.dt_s
-        return replace(super().step(moment), level=None)
+        return super().step(moment)
 
     def _over(self, _force_n: float) -> bool:
         return self._left_s <= EQUAL

@@ -10,6 +10,7 @@ from gripper.force.control.law import ForceLaw, Period
 from gripper.force.estimates.grip import KNOWN_N, Grip, History
 from gripper.force.loop import Moment
 from gripper.force.supervision.part_watch import PartWatch
+from gripper.force.supervision.slip import SlipWatch
 from gripper.mechanics.transmission import Transmission, mean_friction_n
 from gripper.servos.goal_limits import (
     ServoGoal,
@@ -155,6 +156,7 @@ class GripControl:
         # A hard touch has compressed the part already.
         self.watch = PartWatch(grip, contact_n_m, widest_m=max(touch_m, state.aperture_m) + given_m)
         """Decides whether the part is gone; called before `goals` in each period."""
+        self.slip = SlipWatch(grip.settings)
         self._law = ForceLaw(grip, moment.now_s)
         self._stalled_s: float | None = None
         self._goals = DriveGoals(grip, state)

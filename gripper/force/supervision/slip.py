@@ -8,7 +8,7 @@ from statistics import fmean
 from typing import NamedTuple
 
 from gripper.errors import PartSlipped
-from gripper.force.certainty import BRIEF_S, PRESENT_SHARE, STEADY_S, YOUNG_S
+from gripper.force.certainty import BRIEF_S, PRESENT_SHARE, RECOVERED_S, STEADY_S, YOUNG_S
 from gripper.force.loop import Moment
 from gripper.force.supervision.part_watch import CREEP_M
 from gripper.settings import GripperSettings
@@ -28,7 +28,7 @@ _SLIDE_FIRST_S = 3.5 * FRAME_S
 
 
 class SlipWatch:
-    """Slip detector of a hold; it begins again at each steady set-point.
+    """Slip detector of a grip; it begins again at each steady set-point, and after a pause.
 
     Parameters
     ----------
@@ -38,12 +38,11 @@ class SlipWatch:
 
     def __init__(self, settings: GripperSettings) -> None:
         self._settings = settings
-        self._level: int | None = None
-        self._setpoint_n = 0.0
+        self._last_s = self._setpoint_n = 0.0
         self._begin()
 
     def _begin(self) -> None:
-        """Begin to watch another level."""
+        """Begin to watch another force."""
         self._recent = RecentForce()
         self._usual_n = self._usual_s = 0.0
         self._was_low = False
@@ -51,17 +50,18 @@ class SlipWatch:
         self._since_s: float | None = None
         self._slide = SlideWatch(self._settings)
 
-    def check(self, moment: Moment, level: int | None, *, setpoint_n: float) -> None:
-        """Add one period at a level, or between levels; raises PartSlipped when the part slips.
+    def check(self, moment: Moment, *, setpoint_n: float) -> None:
+        """Add one period at a steady set-point; raises PartSlipped when the part slips.
 
         While a hot winding lowers the set-point, a force that falls is no slip.
         """
         tolerance_n = self._settings.settle_tolerance_at_n(setpoint_n)
-        if level != self._level or abs(setpoint_n - self._setpoint_n) > 0.1 * tolerance_n:
-            self._level, self._setpoint_n = level, setpoint_n
+        paused = moment.now_s - self._last_s > RECOVERED_S
+        if paused or abs(setpoint_n - self._setpoint_n) > 0.1 * tolerance_n:
+            self._setpoint_n = setpoint_n
             self._begin()
-        sign = None if level is None else self._sign(moment, setpoint_n)
-        if sign is not None:
+        self._last_s = moment.now_s
+        if (sign := self._sign(moment, setpoint_n)) is not None:
             raise PartSlipped(
                 f"the held part slips: {sign}; the goals are frozen, nothing grips again by "
                 f"itself: clear the fault, then release it"

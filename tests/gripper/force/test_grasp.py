@@ -6,7 +6,6 @@ from typing import Any
 import pytest
 
 from gripper.errors import GraspStopped, PartLost
-from gripper.force import grasp
 from gripper.force.grasp import GripStep, HoldStep, RampTime
 from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp
@@ -199,6 +198,7 @@ def control(*, lost: bool = False, suspicious: bool = False) -> Any:
         grip=SimpleNamespace(force_n=2.0, setpoint_n=2.0),
         watch=SimpleNamespace(lost=lambda _moment: lost, suspicious=suspicious),
         resume=lambda: None,
+        slip=SimpleNamespace(check=lambda _moment, **_named: None),
         goals=lambda *_given, **_named: goals,
         quiet_goals=lambda _moment: quiet,
     )
@@ -211,16 +211,15 @@ def test_the_end_of_a_hold_leaves_no_push_in_force() -> None:
     assert (pushes.done, ends.done) == (False, True)
 
 
-def test_levels_are_watched_for_a_slip_unless_the_part_is_in_doubt(monkeypatch) -> None:
-    levels: list[int | None] = []
-    slip: Any = SimpleNamespace(check=lambda _moment, level, **_named: levels.append(level))
-    monkeypatch.setattr(grasp, "SlipWatch", lambda _settings: slip)
+def test_levels_are_watched_for_a_slip_unless_the_part_is_in_doubt() -> None:
     for suspicious in (True, False):
-        step = GripStep(SETTINGS, control(suspicious=suspicious), STAIRS, slip=slip)
-        HoldStep(SETTINGS, control(suspicious=suspicious), 0.1).step(MOMENT)
+        held, checked_n = control(suspicious=suspicious), list[float]()
+        held.slip.check = lambda _moment, setpoint_n, n=checked_n: n.append(setpoint_n)
+        step = GripStep(SETTINGS, held, STAIRS, levels=True)
+        HoldStep(SETTINGS, held, 0.1).step(MOMENT)
         watched = [step.step(MOMENT).level for _ in range(30)]
         assert set(watched) == {None, 0}
-        assert levels == ([] if suspicious else [0, *watched])
+        assert len(checked_n) == (0 if suspicious else 1 + watched.count(0))
     change = GripStep(SETTINGS, control(), STAIRS)
     assert {change.step(MOMENT).level for _ in range(30)} == {None}
     with pytest.raises(PartLost, match=r"at an opening of 23\.4 mm"):
