@@ -97,7 +97,7 @@ class EmptyGrip:
             return Action()
         means_n = self._samples.finger_means_n if self._samples else sample.force_n
         frames_n = self._frames.finger_means_n
-        if min(means_n) > self._loaded_n >= min(frames_n) and len(self._samples) < LEAST_SAMPLES:
+        if min(means_n) > self._loaded_n >= min(frames_n) and not self._samples.complete:
             # The noise of one sample sometimes loads both pads.
             return Action()
         if min(means_n) > self._loaded_n or min(frames_n) > self._loaded_n:

@@ -265,7 +265,7 @@ MECHANICS = Mechanics(GripperSettings(), LINKAGE)
 """0.6 N are a contact, so 0.3 N on both pads are a load."""
 
 
-def periods(*samples_n: float, frame_n: float | None = 0.0) -> list[bool]:
+def periods(*samples_n: float, frame_n: float | None = 0.0, **noise: float) -> list[bool]:
     """Return whether each period confirmed an empty grip, with a sample in each; all 0 N later."""
     empty = EmptyGrip(MECHANICS, STATE, stiffness_n_m=None, ran=True)
     done: list[bool] = []
@@ -274,7 +274,7 @@ def periods(*samples_n: float, frame_n: float | None = 0.0) -> list[bool]:
         force_n = samples_n[i - 1] if i <= len(samples_n) else 0.0
         scanned_s = STATE.t_s + FRAME_S * (i // 4) - LAG_S
         frame = {} if frame_n is None else {"frame_s": scanned_s, "frame_n": (frame_n, frame_n)}
-        sample = ForceSample(t_s=t_s, force_n=(force_n, force_n), lag_s=LAG_S, **frame)
+        sample = ForceSample(t_s=t_s, force_n=(force_n, force_n), lag_s=LAG_S, **frame, **noise)
         done.append(empty.step(Moment(now_s=t_s, dt_s=PERIOD_S, state=STATE, sample=sample)).done)
     return done
 
@@ -297,5 +297,6 @@ def test_a_load_measured_before_the_stop_is_waited_for() -> None:
     ],
 )
 def test_a_load_on_both_pads_contradicts_an_empty_grip(samples_n, frame_n, says) -> None:
-    with pytest.raises(GripContradicted, match=says):
-        periods(*samples_n, frame_n=frame_n)
+    for noise_n in (0.2, 0.02):
+        with pytest.raises(GripContradicted, match=says):
+            periods(*samples_n, frame_n=frame_n, noise_n=noise_n)
