@@ -57,10 +57,6 @@ class GraspRun:
         """Control of the grip force; None while nothing is held."""
         return None if self._ramp_step is None else self._ramp_step.control
 
-    def forget(self) -> None:
-        """Discard the control of a part: nothing is held."""
-        self._ramp_step = None
-
     def start_proving(self) -> None:
         """Repeat the proof of the closed position and the learning, after the torque comes on."""
         self._closed_is_proven = False
@@ -75,8 +71,6 @@ class GraspRun:
 
     def run(self, ramp: ForceRamp) -> GraspOutcome:
         """Approach, then follow the ramp to its end, or until it is ended on request."""
-        self.forget()
-        self._end.clear()
         reached = self._approach(self._mechanics)
         contact = reached.state
         if reached.event is ApproachEvent.OBSTRUCTED:
@@ -99,11 +93,9 @@ class GraspRun:
 
     def press_pads_together(self, ramp: ForceRamp) -> GraspOutcome:
         """Close the empty fingers onto each other and follow a ramp, see `Gripper`."""
-        self.forget()
         reached = self._closed()
         if reached.event is ApproachEvent.OBSTRUCTED:
             raise _obstructed(reached)
-        self._end.clear()
         if reached.state.aperture_m > ZERO_RANGE_M:
             self._end.set()
         return self._press(ramp, reached, slips=False)
@@ -117,7 +109,7 @@ class GraspRun:
             ran = step.control is not None and step.control.watch.ran
             stiffness_n_m = reached.stiffness.stiffness_n_m or SOFTEST_N_M
             self._confirm_empty(final, ran=ran, stiffness_n_m=stiffness_n_m)
-            self.forget()
+            self._ramp_step = None
         return step.outcome(final)
 
     def _confirm_empty(
@@ -135,7 +127,12 @@ class GraspRun:
         return step.outcome(self._runner.run(step.step))
 
     def _approach(self, mechanics: Mechanics) -> Approach:
-        """Close until the contact, or the end of the travel, and update the estimates."""
+        """Close until the contact, or the end of the travel, and update the estimates.
+
+        The last grip, and earlier requests to end a ramp, are discarded.
+        """
+        self._ramp_step = None
+        self._end.clear()
         # Fingers that shall meet find no part.
         widest_m = None
         if mechanics is self._mechanics and self._touched > 0:

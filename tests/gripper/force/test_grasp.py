@@ -61,16 +61,18 @@ def test_a_request_between_grasps_or_after_the_ramp_is_not_kept(started) -> None
     assert not started.gripper.grasp(LINEAR).ended_early
 
 
-def test_asked_while_the_fingers_approach_the_ramp_ends_as_it_begins(started) -> None:
+@pytest.mark.parametrize(("close", "width_m"), [("grasp", 0.012), ("press_pads_together", 0.003)])
+def test_asked_in_the_approach_the_ramp_ends_as_it_begins(make_started, close, width_m) -> None:
+    started = make_started(width_m=width_m)
     ask, setpoints_n = started.once(started.gripper.end_ramp, in_s=0.1), set()
 
     def observe(cycle: Cycle) -> None:
         ask(cycle)
         setpoints_n.add(cycle.setpoint_n)
 
-    outcome = started.gripper.grasp(LINEAR, observe)
+    outcome = getattr(started.gripper, close)(LINEAR, observe)
     assert outcome.ended_early
-    assert outcome.contact_aperture_m == pytest.approx(0.012, abs=0.0006)
+    assert outcome.contact_aperture_m == pytest.approx(width_m, abs=0.0006)
     assert len(setpoints_n - {0.0}) == 1
     assert started.peak_n < 4.0
 
