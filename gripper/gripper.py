@@ -4,8 +4,8 @@ Only `Gripper.release` lets a part go. Faults, exceptions, `keep_grip` and `clos
 goals and torque.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from math import inf
 from typing import Self
@@ -246,8 +246,7 @@ class Gripper:
                 f"aperture_m is {target_m}, must be from {self.settings.aperture_min_m} to "
                 f"{self.settings.aperture_open_m}"
             )
-        with self._life.command("open", observer):
-            was_limp = self._make_ready()
+        with self._command("open", observer) as was_limp:
             state = self._move_to(target_m, first=was_limp)
             if self.settings.watchdog_self_test and not self._watchdog_proven:
                 state = self._prove_watchdog(target_m)
@@ -321,8 +320,7 @@ class Gripper:
         control = self._held_control("hold")
         if not duration_s > 0.0:
             raise errors.LimitExceeded(f"duration_s is {duration_s}, must be above 0")
-        with self._life.command("hold", observer):
-            self._make_ready()
+        with self._command("hold", observer):
             try:
                 return self._runner.run(HoldStep(self.settings, control, duration_s).step)
             finally:
@@ -352,8 +350,7 @@ class Gripper:
         ramp = ForceRamp.linear(force_n, HOLD_AT_RATE_N_S, start_n=control.grip.setpoint_n)
         self.check_ramp(ramp)
         self._carried = None
-        with self._life.command("hold_at", observer):
-            self._make_ready()
+        with self._command("hold_at", observer):
             if force_n != control.grip.setpoint_n:
                 state = self._runner.run(GripStep(self.settings, control, ramp).step)
             self._life.state.phase = GripperPhase.HOLDING
@@ -385,8 +382,7 @@ class Gripper:
                 f"N: ask for more force, or carry the part with less force first"
             )
         self._carried = None
-        with self._life.command("squeeze", observer):
-            self._make_ready()
+        with self._command("squeeze", observer):
             return self._grasping.squeeze(control, ramp)
 
     def read_drives(self) -> DriveReport:
@@ -420,8 +416,7 @@ class Gripper:
         """
         settings, mechanics = self.settings, self.mechanics
         control = self._held_control("hold")
-        with self._life.command("hold", observer):
-            self._make_ready()
+        with self._command("hold", observer):
             low_n = _LOW_CONTACTS * settings.contact_force_n
             state = self._servos.read_patiently()
             paths = mechanics.transmissions(state.angles_rad)
@@ -456,8 +451,7 @@ class Gripper:
         wide_m = settings.aperture_open_m
         near_m = max(settings.aperture_min_m, 0.0) + _CLEAR_M
         self._life.check_ready("open")
-        with self._life.command("open", observer):
-            self._make_ready()
+        with self._command("open", observer):
             for speed_rad_s in _FREE_RAD_S:
                 for closes in (True, False):
                     state = self._servos.read_patiently()
@@ -627,8 +621,7 @@ class Gripper:
                 "open the gripper, the test follows"
             )
         self.check_ramp(ramp)
-        with self._life.command("grasp", observer):
-            self._make_ready()
+        with self._command("grasp", observer):
             self._life.part_possible = True
             try:
                 outcome = run(ramp)
@@ -650,6 +643,12 @@ class Gripper:
             with suppress(errors.BusTimeout, errors.BusCorrupt):
                 self._servos.read_patiently()
                 self._servos.freeze()
+
+    @contextmanager
+    def _command(self, name: str, observer: Observer | None) -> Iterator[bool]:
+        """Run a command on ready servos; yields whether all of them were without torque."""
+        with self._life.command(name, observer):
+            yield self._make_ready()
 
     def _held_control(self, command: str) -> GripControl:
         """Return the control of the held part. Raises GripperStateError without a part."""

@@ -80,13 +80,10 @@ class ServoSettings:
         object.__setattr__(self, "servo_model", require_current_control(self.model))
         drive = self.measured or DriveCharacteristic.catalogue(self.servo_model)
         object.__setattr__(self, "drive", drive)
-        if not 0 <= self.servo_id <= 252:
-            raise LimitExceeded(f"servo_id is {self.servo_id}, must be from 0 to 252")
+        check_number("servo_id", self.servo_id, low=0, high=252)
         if self.direction not in (-1, 1):
             raise LimitExceeded(f"direction is {self.direction}, must be 1 or -1")
-        most_raw = self.servo_model.pulses_per_turn - 1
-        if not 0 <= self.zero_raw <= most_raw:
-            raise LimitExceeded(f"zero_raw is {self.zero_raw}, must be from 0 to {most_raw}")
+        check_number("zero_raw", self.zero_raw, low=0, high=self.servo_model.pulses_per_turn - 1)
 
     def turns(self, position_raw: int) -> int:
         """Return how many whole turns a position is off that of the linkage, -90 to 270 degrees.
@@ -216,11 +213,6 @@ class GripperSettings:
         """Smallest opening in m of fingers whose force rises."""
         least_m = self.aperture_pressed_m
         return self.aperture_min_m if least_m is None else least_m
-
-    @property
-    def grasp_force_limit_n(self) -> float:
-        """Largest force in N that a ramp may ask for: its overshoot stays below the cap."""
-        return largest_setpoint_n(self.force_max_n)
 
     @property
     def watchdog_raw(self) -> int:

@@ -150,13 +150,6 @@ class ServoModel:
         return copysign(sqrt(abs(item_a) * self.nominal_voltage_v / self.winding_ohm), item_a)
 
     @property
-    def current_step_a(self) -> float:
-        """Resolution in A of the winding's current: a count of current, or of PWM."""
-        if self.supply_current:
-            return self.stall_current_a / self.whole_pwm_raw
-        return self.current_unit_a
-
-    @property
     def winding_ohm(self) -> float:
         """Resistance of the motor's winding in ohm, from the current of the stalled motor."""
         return self.nominal_voltage_v / self.stall_current_a

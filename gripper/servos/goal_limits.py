@@ -25,7 +25,7 @@ from gripper.mechanics.impact import (
 from gripper.mechanics.transmission import CAP_SHARE, Mechanics, Transmission
 from gripper.servos.motion import slow_rad_s
 from gripper.settings import GripperSettings
-from gripper.values.force_sensor import QUIET_N, ForceSample, RecentForce
+from gripper.values.force_sensor import QUIET_N, ForceSample, RecentForce, mean_n
 from gripper.values.state import ServoFeedback
 
 _SURE_SAMPLES = 2
@@ -273,9 +273,7 @@ class GoalWriter:
     @property
     def newest_forces_n(self) -> tuple[float, float]:
         """Mean of the newest samples in N on finger 0 and finger 1; 0 without one."""
-        newest = list(islice(self._forces, _SURE_SAMPLES))
-        first_n, second_n = (sum(sample.force_n[i] for sample in newest) for i in (0, 1))
-        return first_n / max(1, len(newest)), second_n / max(1, len(newest))
+        return mean_n([sample.force_n for sample in islice(self._forces, _SURE_SAMPLES)])
 
     def force_is_too_high(self) -> bool:
         """Return whether the measured force is above the cap by more than noise.

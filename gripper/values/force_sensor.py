@@ -1,7 +1,7 @@
 """Force on the fingers: a sample, the interface of its sensor, the newest samples."""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import sqrt
 from typing import Protocol
@@ -67,6 +67,12 @@ LEAST_SAMPLES = 3
 """Samples of this mean for a slower sensor. [chosen]"""
 
 
+def mean_n(forces_n: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Return the mean force in N on finger 0 and finger 1; 0 without any."""
+    n = max(1, len(forces_n))
+    return sum([one_n for one_n, _ in forces_n]) / n, sum([two_n for _, two_n in forces_n]) / n
+
+
 class RecentForce:
     """Newest force samples, enough for a noise of their mean below a limit.
 
@@ -107,11 +113,7 @@ class RecentForce:
     @property
     def finger_means_n(self) -> tuple[float, float]:
         """Mean force in N on finger 0 and finger 1."""
-        first_n = second_n = 0.0
-        for sample in self._samples:
-            first_n += sample.force_n[0]
-            second_n += sample.force_n[1]
-        return first_n / len(self._samples), second_n / len(self._samples)
+        return mean_n([sample.force_n for sample in self._samples])
 
     @property
     def grip_n(self) -> float:

@@ -19,7 +19,7 @@ from gripper.servos.goal_limits import (
 )
 from gripper.servos.motion import slow_rad_s
 from gripper.settings import ServoSettings
-from gripper.values.force_sensor import QUIET_N, ForceSample, RecentForce
+from gripper.values.force_sensor import QUIET_N, ForceSample, RecentForce, mean_n
 from gripper.values.state import STANDING_M_S, ServoFeedback, ServoState
 
 _TOUCH_N = 0.12
@@ -64,11 +64,9 @@ class FirstTouch:
 
         0 where there are fewer.
         """
-        newest = list(self._recent)[-min(samples, _TOUCH_SAMPLES) :]
-        if len(newest) < min(samples, _TOUCH_SAMPLES):
-            return 0.0, 0.0
-        n = len(newest)
-        return sum(s.force_n[0] for s in newest) / n, sum(s.force_n[1] for s in newest) / n
+        n = min(samples, _TOUCH_SAMPLES)
+        newest = list(self._recent)[-n:]
+        return mean_n([sample.force_n for sample in newest]) if len(newest) == n else (0.0, 0.0)
 
     def push(self, sample: ForceSample, *, empty: bool) -> None:
         """Add a sample, which may be the same as before; ``empty``: no finger is braked."""

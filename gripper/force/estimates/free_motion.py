@@ -189,7 +189,8 @@ class _Run:
 
     def __init__(self, settings: ServoSettings) -> None:
         model = settings.servo_model
-        self._step_a = model.current_step_a / sqrt(12.0)
+        pwm_a = model.stall_current_a / model.whole_pwm_raw
+        self._step_a = (pwm_a if model.supply_current else model.current_unit_a) / sqrt(12.0)
         self._model = model
         self.start()
 

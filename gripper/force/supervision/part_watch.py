@@ -23,7 +23,7 @@ from gripper.force.estimates.grip import KNOWN_N, SOFTEST_N_M, Grip
 from gripper.force.loop import Moment
 from gripper.mechanics.transmission import driving_n, mean_friction_n
 from gripper.settings import GripperSettings
-from gripper.values.force_sensor import LOOK_BACK_S, ForceSample, RecentForce
+from gripper.values.force_sensor import LOOK_BACK_S, ForceSample, RecentForce, mean_n
 from gripper.values.state import ServoFeedback
 
 _RUN_M_S = 0.008
@@ -140,8 +140,7 @@ class FrameMean:
     @property
     def finger_means_n(self) -> tuple[float, float]:
         """Mean force in N on finger 0 and finger 1; 0 without a frame."""
-        n = max(1, len(self._forces_n))
-        return sum(f[0] for f in self._forces_n) / n, sum(f[1] for f in self._forces_n) / n
+        return mean_n(self._forces_n)
 
 
 class _Motion(NamedTuple):
