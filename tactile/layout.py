@@ -219,8 +219,9 @@ def taxel_order(layout: TaxelLayout, mounts: Sequence[PadMount]) -> NDArray[np.i
         Pads mounted differently than in the layout.
     """
     by_pad = {mount.pad: mount for mount in mounts}
-    places = [by_pad[pad].sent_as if pad in by_pad else pad for pad in range(layout.n_pads)]
-    if len(by_pad) < len(mounts) or sorted(places) != list(range(layout.n_pads)):
+    pads = range(layout.n_pads)
+    places = [by_pad[pad].sent_as if pad in by_pad else pad for pad in pads]
+    if len(by_pad) < len(mounts) or not by_pad.keys() <= set(pads) or sorted(places) != list(pads):
         raise LayoutError(
             f"mounts of layout {layout.name}: the pads 0 to {layout.n_pads - 1} are sent as "
             f"{places}; name each pad once"

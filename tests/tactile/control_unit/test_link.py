@@ -689,6 +689,7 @@ def test_the_order_of_the_taxels_is_that_of_the_mounts() -> None:
     [
         ((PadMount(pad=0, sent_as=1),), "name each pad once"),
         ((PadMount(pad=7, sent_as=7),) * 2, "name each pad once"),
+        ((PadMount(pad=10, sent_as=10),), "the pads 0 to 9 are"),
         (
             (PadMount(pad=0, sent_as=2), PadMount(pad=2, sent_as=0)),
             "16 x 4 taxels, but is sent as finger0.side_a with 16 x 2: correct sent_as",
