@@ -2,6 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass, field
+from itertools import takewhile
 from math import inf, sqrt
 
 from gripper.dynamixel.drive import SIGMAS
@@ -11,8 +12,8 @@ from gripper.mechanics.transmission import Mechanics
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import LEAST_SAMPLES, ONE_FRAME_S
 
-_LENGTH = 128
-"""Periods kept of a value: 0.64 s at 200 Hz, several times the delay of a sensor. [chosen]"""
+_KEPT_S = 0.64
+"""Time in s for which values are kept: several times the delay of a sensor. [chosen]"""
 KNOWN_N = 3.0
 """Force in N from which a stiffness is known well; it is measured anew each 0.7 N. [tuned]"""
 _SLOPE_N = 0.7
@@ -29,15 +30,18 @@ class History:
     """Values of the last periods by time."""
 
     def __init__(self) -> None:
-        self._entries: deque[tuple[float, float]] = deque(maxlen=_LENGTH)
+        self._entries: deque[tuple[float, float]] = deque()
         self._shift = 0.0
 
     def __bool__(self) -> bool:
         return bool(self._entries)
 
     def add(self, now_s: float, value: float) -> None:
-        """Add the value of now."""
+        """Add the value of now; those that are too old are discarded."""
         self._entries.append((now_s, value - self._shift))
+        # The value at the time of the oldest one that is kept may be from before it.
+        while len(self._entries) > 1 and self._entries[1][0] <= now_s - _KEPT_S:
+            self._entries.popleft()
 
     @property
     def newest(self) -> float:
@@ -53,7 +57,8 @@ class History:
 
     def most(self, *, since_s: float) -> float:
         """Return the largest value since a time in s, at least the newest one."""
-        return max([self.newest, *[v + self._shift for t_s, v in self._entries if t_s >= since_s]])
+        recent = takewhile(lambda entry: entry[0] >= since_s, reversed(self._entries))
+        return max([self.newest, *[value + self._shift for _, value in recent]])
 
     def shift(self, by: float) -> None:
         """Add ``by`` to all values."""

@@ -144,8 +144,9 @@ def test_the_force_is_known_after_a_stall_on_a_ramp(make_started, stiffness_n_m,
     assert max(errors_n[2:]) < 2.0
 
 
-def test_a_time_after_all_values_has_the_newest_one() -> None:
+def test_values_are_kept_for_a_time_and_one_after_all_of_them_has_the_newest() -> None:
     drives = History()
-    for t_s, drive_n in ((0.0, 5.0), (0.1, 3.0)):
-        drives.add(t_s, drive_n)
-    assert (drives.most(since_s=0.0), drives.most(since_s=0.25)) == (5.0, 3.0)
+    for tick in range(1024):
+        drives.add(tick / 1024, 1024.0 - tick)
+    assert [drives.most(since_s=t_s) for t_s in (0.5, 0.75, 1.25)] == [512.0, 256.0, 1.0]
+    assert drives.at(0.5) == 512.0
