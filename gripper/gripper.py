@@ -386,7 +386,7 @@ class Gripper:
             return self._grasping.squeeze(control, ramp)
 
     def read_drives(self) -> DriveReport:
-        """Return the newest drive characteristic of each servo, and notes about unusual values."""
+        """Return the newest drive of each servo, and notes since the last call."""
         free, servos = self._free, self._servos
         notes, free.notes = free.notes, []
         warnings, servos.notes = servos.notes, []

@@ -100,7 +100,7 @@ class Lifecycle:
         """True from the start of an approach until the end of a release, or until nothing is found.
         """
         self.controlled = False
-        """True while the force of this object's grasp can still be controlled."""
+        """True while the force on the held part can still be controlled."""
         self.fault: BaseException | None = None
         """The latched fault, None without one."""
         self.running = False

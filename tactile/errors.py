@@ -6,11 +6,11 @@ class TactileError(Exception):
 
 
 class LayoutError(TactileError, ValueError):
-    """A layout or a frame format that cannot exist, or that does not fit the unit."""
+    """A layout that cannot exist, or that does not fit the unit."""
 
 
 class FrameError(TactileError, ValueError):
-    """Values that cannot be put into a frame."""
+    """A force table for the unit that is not finite."""
 
 
 class CalibrationError(TactileError):

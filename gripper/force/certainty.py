@@ -13,8 +13,8 @@ PRESENT_SHARE = 0.5
 EMPTY_SHARE = 0.25
 """Share of ``contact_force_n`` below which a pad is empty. [tuned]"""
 REACHED_SHARE = 0.8
-"""Share of a nominal speed or current above which it counts as reached. Below the rest of it the
-fingers stand. [chosen]"""
+"""Share of a nominal speed or current above which it counts as reached. Below 1 minus this
+share the fingers stand. [chosen]"""
 YOUNG_S = 0.75 * FRAME_S
 """Time in s that is less than a frame takes: newer samples are force messages."""
 BRIEF_S = 5 * FRAME_S

@@ -183,7 +183,7 @@ class RampTime:
         self.level = segment.level
         """Index of the held level; None on the way to it."""
 
-    def pass_by(self, dt_s: float, force_n: float, aperture_m: float) -> None:
+    def advance(self, dt_s: float, force_n: float, aperture_m: float) -> None:
         """Advance by ``dt_s`` s, at a force of ``force_n`` N and an opening in m.
 
         A rise ends with closed fingers: part and foam yield without more force.
@@ -262,13 +262,13 @@ class GripStep:
     def step(self, moment: Moment) -> Action:
         """Return the action of one period; PartLost, PartSlipped when the part goes."""
         assert self.control is not None
-        if self.control.watch.lost(moment):
+        if self.control.watch.update(moment):
             raise PartLost(
                 f"the part has slipped out or was taken: the pads are empty, or nothing holds the "
                 f"fingers apart, at an opening of {moment.state.aperture_m * 1e3:.1f} mm; the "
                 f"fingers stand still"
             )
-        self._time.pass_by(moment.dt_s, self.control.grip.force_n, moment.state.aperture_m)
+        self._time.advance(moment.dt_s, self.control.grip.force_n, moment.state.aperture_m)
         action = self._action(moment, self.control)
         return action if self._levels else replace(action, level=None)
 
@@ -349,7 +349,7 @@ class ContactStep(GripStep):
         if self.control is None and self._rest.goes_on(moment):
             return Action()
         control = self._advance(moment)
-        self.lost = control.watch.lost(moment)
+        self.lost = control.watch.update(moment)
         return self._action(moment, control)
 
     def _advance(self, moment: Moment) -> GripControl:
@@ -363,7 +363,7 @@ class ContactStep(GripStep):
             self._time = RampTime(self._settings, ended)
             self._ended = True
         else:
-            self._time.pass_by(moment.dt_s, self.control.grip.force_n, moment.state.aperture_m)
+            self._time.advance(moment.dt_s, self.control.grip.force_n, moment.state.aperture_m)
         return self.control
 
     def _ends_early(self) -> bool:

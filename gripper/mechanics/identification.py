@@ -28,14 +28,14 @@ _CHANGE_SD = 0.1
 """Spread of the friction of one servo within a day, as a share: grease that warms. [assumed]"""
 _BLOCKS, _LEAST_BLOCKS = 30, 6
 """Parts of the points of a load whose means are taken, and fewest of these in a line. [tuned]"""
-_LOCKED, _ENDS = {True: 0.25, False: 0.15}, 0.05
-"""Shares of the load's way that are left out after a turn to a load that rises (True) or falls, and
+_RISE_LOCKED, _FALL_LOCKED, _ENDS = 0.25, 0.15, 0.05
+"""Shares of the load's way that are left out after a turn to a load that rises, or that falls, and
 before the next turn. [tuned]"""
 _ALIKE = 2.0
 """Factor for the common error of neighbouring parts' means, over their scatter. [tuned]"""
 _YIELDING = (0.7, 0.4)
 """Yielding share of a gearing, falling over rising slope, and the uncertainty of both: 0.3 to 1 for
-gearings that lose up to half of the motor's torque (arXiv 2410.08650). [vendor]"""
+gearings that lose up to half of the motor's torque (arXiv 2410.08650)."""
 _SUREST = 0.2
 """Largest uncertainty of a rising slope that counts, as a share: a gearing that sticks gives few
 edges, but no catalogue has its losses. [tuned]"""
@@ -163,7 +163,7 @@ class _Fit(NamedTuple):
 
 def _rising(points: Sequence[LoadPoint], before: DriveCharacteristic) -> _Fit | None:
     """Return A for each N m of a load that rises, and A without a load."""
-    blocks = _moving(points, _LOCKED[True], 1.0 - _ENDS)
+    blocks = _moving(points, _RISE_LOCKED, 1.0 - _ENDS)
     if blocks is None:
         return None
     base_sd_a = before.breakaway_a * max(before.friction_sd, _LEAST_FRICTION_SD)
@@ -175,7 +175,7 @@ def _rising(points: Sequence[LoadPoint], before: DriveCharacteristic) -> _Fit | 
 
 def _falling(points: Sequence[LoadPoint], up: _Fit) -> _Fit | None:
     """Return A for each N m of a load that falls, the yielding share, and A without a load."""
-    blocks = _moving(points, _ENDS, 1.0 - _LOCKED[False])
+    blocks = _moving(points, _ENDS, 1.0 - _FALL_LOCKED)
     if blocks is None:
         return None
 

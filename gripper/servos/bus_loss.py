@@ -116,4 +116,4 @@ class BusLossMonitor:
                     # finger. A part that is let go still needs the current.
                     self._servos.hold_position(float(phase is GripperPhase.RELEASING))
                 else:
-                    self._servos.freeze(goes_on=True)
+                    self._servos.freeze(supervised=True)

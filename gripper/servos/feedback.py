@@ -185,7 +185,7 @@ class FeedbackCheck:
         )
         self._last: dict[int, tuple[float, float]] = {}
         self._inside: set[int] = set()
-        """Servos that were inside their range when they were last far from its ends."""
+        """Indexes of the servos inside their range when they were last far from its ends."""
 
     def forget(self) -> None:
         """Compare the next feedback with no earlier one."""

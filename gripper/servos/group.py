@@ -116,17 +116,17 @@ class Servos:
         pairs = zip(self.goals.last, self._settings.servos, strict=False)
         return any(goal.current_a > servo.servo_model.holding_a for goal, servo in pairs)
 
-    def freeze(self, *, goes_on: bool = False) -> None:
+    def freeze(self, *, supervised: bool = False) -> None:
         """Keep the last goals, without a push on the drive.
 
-        Where the loop does not go on, nothing watches the heat: no servo keeps more current than it
-        bears for hours.
+        ``supervised``: the loop runs on and watches the heat. Else no servo keeps more current than
+        it bears for hours.
         """
         self._read_after_stall()
         state, last = self.feedback.last, self.goals.last
         if state is not None and last:
             goals = frozen(last, state)
-            if not goes_on:
+            if not supervised:
                 goals = for_hours(goals, self._settings)
             self.goals.write(goals, state, final=True)
 

@@ -17,8 +17,9 @@ _EMPTY_STANDING_M_S = 2.5 * STANDING_M_S
 class GripperPhase(Enum):
     """Phase of the gripper.
 
-    OFF: torque is off or unknown. IDLE: torque on, nothing held. HELD_AFTER_FAULT: goals are
-    frozen after a fault, or torque was found on at the start; a part may be held.
+    OFF: torque is off or unknown. IDLE: torque on, nothing held. BACKING_OFF: `Gripper.hold_at`
+    lowers or raises the force. HELD_AFTER_FAULT: goals are frozen after a fault, or torque was
+    found on at the start; a part may be held.
     """
 
     OFF = "off"
@@ -48,7 +49,7 @@ class ServoState:
     velocity_rad_s: float
     """Velocity in the same direction, by the positions: see `gripper.servos.motion`."""
     next_rad_s: float
-    """The same, in a loop below 200 Hz that at the next reading: prompt, with more noise."""
+    """Below 200 Hz the expected velocity at the next reading; else the same."""
     current_a: float
     """Current of the winding; positive drives the gripper open. Present Current, or by Present PWM
     where that register has the current of the supply."""
@@ -66,7 +67,7 @@ class ServoState:
     pwm_share: float = 0.0
     """Present PWM in the same direction, as a share of the supply."""
     motor_rad_s: float = 0.0
-    """Least certain velocity by voltage and current of the motor, without the encoder."""
+    """Smallest speed that voltage and current prove; 0 if none."""
     limit_a: float
     """Largest current in A that the heat of the winding allows."""
     alert: bool

@@ -27,7 +27,7 @@ def open_sensor(
     """Open the control unit's CAN bus and return its sensor; ``with`` starts the unit.
 
     Leaving the block stops the frames and closes the bus. SYNC goes out, and faults show, while the
-    sensor is read; messages that are not read for half a minute are a fault of the link.
+    sensor is read; 20,000 unread messages are a fault of the link.
 
     Parameters
     ----------

@@ -63,10 +63,10 @@ and their noise grows with the load (simulated cell, 1 to 8 N)."""
 
 @dataclass(slots=True, kw_only=True)
 class SensorStatistics:
-    """Counts since the start of the sensor; they are updated."""
+    """Bad taxels of the newest frame, and counts since the start; both are updated."""
 
     bad_taxels: int = 0
-    """Taxels that do not measure in the newest frame; masked and filled from their neighbours."""
+    """Taxels that do not measure; masked and filled from their neighbours."""
     saturated_frames: int = 0
     """Frames with healthy taxels at full scale."""
     void_frames: int = 0

@@ -78,7 +78,7 @@ class TareResult:
     noise_counts: Values = field(repr=False)
     """(n_taxels,) float64: standard deviation of the counts."""
     health: TaxelHealth = field(repr=False)
-    """Broken taxels."""
+    """Health of each taxel."""
     n_frames: int
     """Frames averaged."""
     t_s: float

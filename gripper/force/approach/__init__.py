@@ -1,5 +1,5 @@
 """Motions of fingers that hold nothing: to an opening, and until they touch a part.
 
-`free_motion` moves empty fingers, `mechanics_proof` proves that they move as the settings say,
+`empty_motion` moves empty fingers, `mechanics_proof` proves that they move as the settings say,
 `approach` closes them until the pads show a contact.
 """

@@ -179,7 +179,7 @@ class GripControl:
         self._law.begin(state.t_s)
 
     def goals(
-        self, moment: Moment, setpoint_n: float, *, arrival_n: float | None = None
+        self, moment: Moment, setpoint_n: float, *, arrival_n: float
     ) -> tuple[ServoGoal, ...]:
         """Return the goals of one period.
 
@@ -191,7 +191,7 @@ class GripControl:
             Set-point of the grip force in N. It falls with the current that a hot winding bears:
             the part would else push the fingers open at once when friction gives way.
         arrival_n
-            End of the present change of force in N; None without a change.
+            End of the present change of force in N; without a change the set-point.
 
         Raises
         ------
@@ -209,7 +209,7 @@ class GripControl:
             min([servo.limit_a * path.n_per_a for servo, path in pairs]),
             grip.setpoint_n * (1.0 - moment.dt_s / LOWERING_S),
         )
-        end_n = min(setpoint_n if arrival_n is None else arrival_n, borne_n)
+        end_n = min(arrival_n, borne_n)
         setpoint_n = min(setpoint_n, borne_n)
         rises_n = setpoint_n - grip.setpoint_n
         grip.setpoint_n = setpoint_n

@@ -162,7 +162,7 @@ class Grip:
     mechanics: Mechanics
     """Of the gripper."""
     stiffness: StiffnessEstimate
-    """Stiffness of the part."""
+    """Stiffness of the part; only the first ramp updates it, a squeeze does not."""
     touch_m: float
     """Opening in m at which both pads were first loaded: the fingers are not driven open beyond it,
     however much force the pads report."""

@@ -218,8 +218,8 @@ class PartWatch:
         self._suspicion = None
         self._uneven_s = 0.0
 
-    def lost(self, moment: Moment) -> bool:
-        """Return whether the part is gone.
+    def update(self, moment: Moment) -> bool:
+        """Add one period and return whether the part is gone.
 
         It is gone in these cases: both pads are empty for some time, or suddenly after much force,
         and the fingers run or a frame is also empty; the fingers have closed fully and the pads are

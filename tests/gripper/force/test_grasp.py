@@ -161,7 +161,7 @@ STAIRS = ForceRamp.staircase((2.0, 4.0), 10.0, 0.1, start_n=1.0)
 
 def passed(time: RampTime, seconds: float, force_n: float) -> RampTime:
     for _ in range(round(seconds / 0.005)):
-        time.pass_by(0.005, force_n, WIDE_M)
+        time.advance(0.005, force_n, WIDE_M)
     return time
 
 
@@ -184,7 +184,7 @@ def test_a_ramp_is_over_when_its_force_is_there_or_the_time_for_it_is_up() -> No
 
 def test_a_rise_ends_where_the_fingers_are_closed() -> None:
     time = passed(RampTime(SETTINGS, STAIRS), 0.05, 1.5)
-    time.pass_by(0.005, 1.4, SETTINGS.least_pressed_m)
+    time.advance(0.005, 1.4, SETTINGS.least_pressed_m)
     assert (time.ramp.final_n, time.requested_n) == (pytest.approx(1.4), 4.0)
     assert time.settled(1.4)
 
@@ -198,7 +198,7 @@ def control(*, lost: bool = False, suspicious: bool = False) -> Any:
     return SimpleNamespace(
         force_n=2.0,
         grip=SimpleNamespace(force_n=2.0, setpoint_n=2.0),
-        watch=SimpleNamespace(lost=lambda _moment: lost, suspicious=suspicious),
+        watch=SimpleNamespace(update=lambda _moment: lost, suspicious=suspicious),
         resume=lambda: None,
         slip=SimpleNamespace(check=lambda _moment, **_named: None),
         goals=lambda *_given, **_named: goals,

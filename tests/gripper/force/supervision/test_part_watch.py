@@ -67,7 +67,7 @@ class Watched:
         first, *others = moment.state.servos
         first = replace(first, velocity_rad_s=self.first_share * first.velocity_rad_s)
         state = replace(moment.state, servos=(first, *others))
-        return self.watch.lost(replace(moment, state=state))
+        return self.watch.update(replace(moment, state=state))
 
 
 @pytest.fixture
