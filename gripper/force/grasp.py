@@ -281,7 +281,8 @@ class GripStep:
         if self.lost:
             goals = standing(goals, moment.state)
         elif self._slips and level is not None and not control.watch.suspicious:
-            control.slip.check(moment, setpoint_n=setpoint_n)
+            opens = control.grip.opened_s == moment.now_s
+            control.slip.check(moment, setpoint_n=setpoint_n, opens=opens)
         done = self.lost or self._over(control.force_n)
         if done and not self.lost:
             # The last goals stay in force: a push would go on.

@@ -112,6 +112,14 @@ def test_ordinary_grasps_follow_grease_that_warms(make_started) -> None:
     assert not cell.gripper.read_drives().notes
 
 
+def test_an_approach_of_two_millimetres_shows_a_friction_that_nobody_measured(make_started) -> None:
+    cell = make_started(drive_sds=NEVER, aperture_m=0.0165)
+    for motor in cell.motors:
+        motor.friction_factor *= 2.0
+    cell.gripper.grasp(ForceRamp.linear(2.0, 20.0))
+    check_friction(cell, rel=0.3)
+
+
 @pytest.mark.slow
 def test_a_sudden_change_is_noted_with_its_cause_and_measured_anew(make_started) -> None:
     cell = make_started(present=False)

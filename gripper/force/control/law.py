@@ -304,6 +304,8 @@ class ForceLaw:
         if abs(error_n) <= least_n or not may_start:
             return 0.0
         self._started_m = period.moment.state.aperture_m
+        if sign < 0.0:
+            self._grip.opened_s = period.moment.now_s
         return self._pushes.push_n(self.observer, period.moment, frictions_n, sign)
 
     def _moving_n(

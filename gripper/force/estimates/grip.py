@@ -169,6 +169,8 @@ class Grip:
     carried_s: float = inf
     """Time in s from which no push opens the fingers, until the set-point changes: a carried part
     does not grow, but the zero of a pad may drift."""
+    opened_s: float = -inf
+    """Monotonic time in s of the last push that opens the fingers."""
     apertures: History = field(default_factory=History)
     """Opening of the last periods in m."""
     force_n: float

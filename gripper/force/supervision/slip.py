@@ -28,7 +28,9 @@ _SLIDE_FIRST_S = 3.5 * FRAME_S
 
 
 class SlipWatch:
-    """Slip detector of a grip; it begins again at each steady set-point, and after a pause.
+    """Slip detector of a grip.
+
+    It begins again at each steady set-point, after a pause, and where a push opens the fingers.
 
     Parameters
     ----------
@@ -50,14 +52,15 @@ class SlipWatch:
         self._since_s: float | None = None
         self._slide = SlideWatch(self._settings)
 
-    def check(self, moment: Moment, *, setpoint_n: float) -> None:
+    def check(self, moment: Moment, *, setpoint_n: float, opens: bool = False) -> None:
         """Add one period at a steady set-point; raises PartSlipped when the part slips.
 
-        While a hot winding lowers the set-point, a force that falls is no slip.
+        While a hot winding lowers the set-point, a force that falls is no slip. ``opens``: whether a
+        push opens the fingers.
         """
         tolerance_n = self._settings.settle_tolerance_at_n(setpoint_n)
         paused = moment.now_s - self._last_s > RECOVERED_S
-        if paused or abs(setpoint_n - self._setpoint_n) > 0.1 * tolerance_n:
+        if paused or opens or abs(setpoint_n - self._setpoint_n) > 0.1 * tolerance_n:
             self._setpoint_n = setpoint_n
             self._begin()
         self._last_s = moment.now_s

@@ -197,7 +197,7 @@ def control(*, lost: bool = False, suspicious: bool = False) -> Any:
     goals, quiet = ((ServoGoal(angle_rad=0.0, current_a=a),) * 2 for a in (0.3, 0.2))
     return SimpleNamespace(
         force_n=2.0,
-        grip=SimpleNamespace(force_n=2.0, setpoint_n=2.0),
+        grip=SimpleNamespace(force_n=2.0, setpoint_n=2.0, opened_s=0.0),
         watch=SimpleNamespace(update=lambda _moment: lost, suspicious=suspicious),
         resume=lambda: None,
         slip=SimpleNamespace(check=lambda _moment, **_named: None),
@@ -216,7 +216,7 @@ def test_the_end_of_a_hold_leaves_no_push_in_force() -> None:
 def test_levels_are_watched_for_a_slip_unless_the_part_is_in_doubt() -> None:
     for suspicious in (True, False):
         held, checked_n = control(suspicious=suspicious), list[float]()
-        held.slip.check = lambda _moment, setpoint_n, n=checked_n: n.append(setpoint_n)
+        held.slip.check = lambda _moment, setpoint_n, n=checked_n, **_: n.append(setpoint_n)
         step = GripStep(SETTINGS, held, STAIRS, levels=True)
         HoldStep(SETTINGS, held, 0.1).step(MOMENT)
         watched = [step.step(MOMENT).level for _ in range(30)]

@@ -1,6 +1,7 @@
 """A held part that slips: by its force, the way of the fingers, or its place."""
 
 import random
+from typing import Any
 
 import pytest
 
@@ -14,14 +15,12 @@ from tests.values import make_state
 SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1),))
 
 
-def slips(
-    watch: SlipWatch, sample: ForceSample, *, setpoint_n: float, aperture_m: float = 0.01
-) -> str:
+def slips(watch: SlipWatch, sample: ForceSample, *, aperture_m: float = 0.01, **held: Any) -> str:
     """Return the sign of a slip in one period at the time of its sample; empty without one."""
     state = make_state(now_s := sample.t_s, aperture_m=aperture_m)
     moment = Moment(now_s=now_s, dt_s=0.005, state=state, sample=sample)
     try:
-        watch.check(moment, setpoint_n=setpoint_n)
+        watch.check(moment, **held)
     except PartSlipped as slip:
         return str(slip)
     return ""
@@ -127,7 +126,8 @@ def test_after_a_gap_of_the_samples_the_first_place_counts() -> None:
 
 
 def test_force_beyond_the_set_point_that_is_given_back_is_no_slip() -> None:
-    watch = SlipWatch(SETTINGS)
+    watch, pushed = SlipWatch(SETTINGS), SlipWatch(SETTINGS)
     for i in range(400):
         sample = ForceSample(t_s=0.005 * i, force_n=(4.4, 4.4) if i < 200 else (3.1, 3.1))
         assert not slips(watch, sample, setpoint_n=3.0)
+        assert not slips(pushed, sample, setpoint_n=4.4, opens=i == 199)
