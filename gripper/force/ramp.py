@@ -45,6 +45,11 @@ class ForceRamp:
     segments: tuple[RampSegment, ...]
     """The pieces, in order; each starts at the force where the one before ends."""
 
+    def __post_init__(self) -> None:
+        for piece in self.segments:
+            for name in ("duration_s", "start_n", "end_n"):
+                check_number(f"{name} of a segment", getattr(piece, name), low=0.0)
+
     @classmethod
     def linear(
         cls, force_n: float, rate_n_s: float, hold_s: float = 0.0, start_n: float = 0.0

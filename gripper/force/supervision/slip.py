@@ -55,8 +55,8 @@ class SlipWatch:
     def check(self, moment: Moment, *, setpoint_n: float, opens: bool = False) -> None:
         """Add one period at a steady set-point; raises PartSlipped when the part slips.
 
-        While a hot winding lowers the set-point, a force that falls is no slip. ``opens``: whether a
-        push opens the fingers.
+        While a hot winding lowers the set-point, a force that falls is no slip.
+        ``opens``: whether a push opens the fingers.
         """
         tolerance_n = self._settings.settle_tolerance_at_n(setpoint_n)
         paused = moment.now_s - self._last_s > RECOVERED_S
