@@ -21,7 +21,7 @@ cap of the force, with 100 Hz and more with at most 0.81 (``benchmarks force_cap
 _WORK_SHARE = 0.8
 """Share of a period that reading and writing may take; the rest is for control and lateness."""
 _SLOW_SHARE = 0.25
-"""Share of the answers that may be lost or take longer than a period."""
+"""Share of the answers that may be lost or take longer than the longest time-out."""
 _LOST_S = 1.0
 """Time in s that a lost answer counts as: longer than any period."""
 _HIGH_QUANTILE = 0.9
@@ -64,8 +64,9 @@ def check_link(bus: "ServoBus", ids: Sequence[int], period_s: float) -> float:
     trips_s = sorted(_trip_s(bus, servo_id) for _ in range(_ROUNDS) for servo_id in ids)
     typical_s = median(trips_s)
     high_s = trips_s[int(_HIGH_QUANTILE * (len(trips_s) - 1))]
-    waiting_s = max(0.0, typical_s - _PING_BYTES * 10.0 / bus.baudrate)
-    slow_share = sum(trip_s > period_s for trip_s in trips_s) / len(trips_s)
+    ping_s = _PING_BYTES * 10.0 / bus.baudrate
+    waiting_s, longest_s = max(0.0, typical_s - ping_s), _ALLOWANCE_SHARE * period_s
+    slow_share = sum(trip_s > ping_s + longest_s for trip_s in trips_s) / len(trips_s)
     work_s = _wire_s(bus.baudrate, len(ids)) + waiting_s
     if work_s > _WORK_SHARE * period_s:
         rate_hz = int(_WORK_SHARE / work_s)
@@ -79,12 +80,13 @@ def check_link(bus: "ServoBus", ids: Sequence[int], period_s: float) -> float:
         )
     if slow_share > _SLOW_SHARE:
         raise LinkTooSlow(
-            f"{slow_share:.0%} of {len(trips_s)} answers were lost or took longer than a "
-            f"period of {period_s * 1e3:.1f} ms, the longest {trips_s[-1] * 1e3:.1f} ms; the "
-            f"median is {typical_s * 1e3:.1f} ms. This machine is too busy for the loop, or the "
+            f"{slow_share:.0%} of {len(trips_s)} answers were lost or took longer than "
+            f"{(ping_s + longest_s) * 1e3:.1f} ms, the time that a period of {period_s * 1e3:.1f} "
+            f"ms has for one; the longest took {trips_s[-1] * 1e3:.1f} ms, the median is "
+            f"{typical_s * 1e3:.1f} ms. This machine is too busy for the loop, or the "
             f"cable is bad: end other programs or lower loop_rate_hz. Nothing has moved"
         )
-    fitted_s = min(_ALLOWANCE_REACH * high_s, _ALLOWANCE_SHARE * period_s)
+    fitted_s = min(_ALLOWANCE_REACH * high_s, longest_s)
     bus.port.allowance_s = max(bus.port.least_allowance_s, fitted_s)
     return typical_s
 

@@ -415,7 +415,7 @@ def test_a_machine_that_is_too_busy_is_refused(cell, how) -> None:
             """Return each third answer to a ping late, or not at all."""
             self.answers += len(packet) == PING_BYTES
             third = self.answers % 3 == 0 and len(packet) == PING_BYTES
-            self.delay_s = 0.02 if third and how == "late" else 0.0
+            self.delay_s = 0.003 if third and how == "late" else 0.0
             return [] if third and how == "lost" else super().answer(servo_id, packet)
 
     cell.device.faults = Busy()
