@@ -170,7 +170,7 @@ class GripControl:
     def resume(self) -> None:
         """Begin again after a pause: samples from before it are discarded."""
         self.watch.resume()
-        self._law.observer.resume()
+        self._law.resume()
 
     def begin_again(self, state: ServoFeedback) -> None:
         """Begin the law at the present force and opening: others have moved the fingers."""

@@ -214,6 +214,10 @@ class ForceLaw:
         self._jumped_s: float | None = None
         self._contradicted_s = 0.0
 
+    def resume(self) -> None:
+        """Begin again after a pause, in which the force may have changed."""
+        self.observer.resume()
+
     def step(self, period: Period) -> float:
         """Return the driving force in N of one period.
 
