@@ -13,12 +13,11 @@ CONFIG = """
 self_zero: on_demand
 tactile: {tare_frames: 15, sync_period_ms: 30.0, force_period_ms: 10}
 gripper:
-  loop_rate_hz: 100.0
-  approach_speed_mm_s: 20.0
-  force_stale_ms: 300.0
-  watchdog_ms: 500.0
+  {loop_rate_hz: 100.0, approach_speed_mm_s: 20.0, force_stale_ms: 300.0, watchdog_ms: 500.0}
+simulator: {servos: {gearing: typical}}
 """
-"""Half the rate and some patience: other tests may take turns on the same processor."""
+"""Half the rate and some patience: other tests may take turns on the same processor. Equal servos:
+what is measured here are processes, not the force of a first grasp."""
 SEQUENCE = "sequence: {x_mm: [0, 0], y_mm: [0, 0], force_n: [3, 5], max_grasps: 1}\n"
 
 
