@@ -17,7 +17,7 @@ from gripper.servos.goal_limits import (
 )
 from gripper.servos.motion import slow_rad_s, still_rad
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.values.force_sensor import RecentForce
+from gripper.values.force_sensor import LEAST_SAMPLES, RecentForce
 from gripper.values.state import ServoFeedback, ServoState
 
 _MOVED_RAD = 0.03
@@ -384,7 +384,7 @@ class _ForceRise:
         sample, recent = moment.sample, self._recent
         if sample is None or not sample.valid or recent.push(sample) is None:
             return ""
-        if not recent.complete:
+        if len(recent) < LEAST_SAMPLES:
             return ""
         self._least_n = min(self._least_n, recent.grip_n)
         if recent.grip_n - self._least_n < max(_RISE_N, _RISE_SHARE * self._least_n):
