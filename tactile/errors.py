@@ -6,7 +6,7 @@ class TactileError(Exception):
 
 
 class LayoutError(TactileError, ValueError):
-    """A layout that cannot exist, or that does not fit the unit."""
+    """A layout or a frame format that cannot exist, or that does not fit the unit."""
 
 
 class FrameError(TactileError, ValueError):

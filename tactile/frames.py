@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.errors import FrameError
+from tactile.errors import FrameError, LayoutError
 from tactile.layout import TaxelLayout
 from tactile.source import COUNTER_MASK, ForceMessage, FrameStatistics, ScanStatus, TactileFrame
 
@@ -52,7 +52,8 @@ _INDEX_BITS = 0x3F
 _HALF_TURN = 0x8000
 """Least difference to the last counter of a counter that is older, not newer."""
 _SHORT_INDEX_LIMIT = _INDEX_BITS + 1
-"""Largest number of messages with a header of one byte."""
+_LONG_INDEX_LIMIT = _SHORT_INDEX_LIMIT * 256
+"""Largest number of messages with a header of one byte, or of two."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +64,13 @@ class FrameFormat:
     """Samples in a frame."""
     sample_bytes: int
     """1 or 2."""
+
+    def __post_init__(self) -> None:
+        if self.n_messages > _LONG_INDEX_LIMIT:
+            raise LayoutError(
+                f"{self.n_taxels} taxels need {self.n_messages} messages a frame, allowed are "
+                f"{_LONG_INDEX_LIMIT}; use fewer taxels"
+            )
 
     @classmethod
     def of(cls, layout: TaxelLayout) -> "FrameFormat":

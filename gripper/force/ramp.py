@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from math import inf
 
 from gripper.errors import LimitExceeded
@@ -27,6 +26,12 @@ class RampSegment:
     level: int | None = None
     """Index of the level of a hold; None while the force changes."""
 
+    @property
+    def rate_n_s(self) -> float:
+        """Magnitude of the rate in N/s."""
+        change_n = abs(self.end_n - self.start_n)
+        return change_n / self.duration_s if change_n > 0.0 else 0.0
+
     def force_n(self, elapsed_s: float) -> float:
         """Return the force in N at a time within the piece."""
         if self.duration_s <= 0.0 or elapsed_s >= self.duration_s:
@@ -46,9 +51,24 @@ class ForceRamp:
     """The pieces, in order; each starts at the force where the one before ends."""
 
     def __post_init__(self) -> None:
-        for piece in self.segments:
-            for name in ("duration_s", "start_n", "end_n"):
-                check_number(f"{name} of a segment", getattr(piece, name), low=0.0)
+        if not self.segments:
+            raise LimitExceeded("a ramp needs at least one segment")
+        force_n = self.segments[0].start_n
+        signs: set[bool] = set()
+        for segment in self.segments:
+            check_number("duration_s of a segment", segment.duration_s, low=0.0)
+            check_number("start_n of a segment", segment.start_n, low=0.0)
+            check_number("end_n of a segment", segment.end_n, low=0.0)
+            if segment.start_n != force_n:
+                raise LimitExceeded(
+                    f"a segment starts at {segment.start_n} N, the one before ends at {force_n} N"
+                )
+            if segment.end_n != segment.start_n:
+                check_number("duration_s of a change of force", segment.duration_s, above=0.0)
+                signs.add(segment.end_n > segment.start_n)
+            force_n = segment.end_n
+        if len(signs) > 1:
+            raise LimitExceeded("a ramp goes up or down, not both")
 
     @classmethod
     def linear(
@@ -75,9 +95,6 @@ class ForceRamp:
             segments.append(RampSegment(duration_s=rise_s, start_n=force_n, end_n=level_n))
             segments.append(_hold(level_n, hold_s, index))
             force_n = level_n
-        rises = {b > a for a, b in pairwise((start_n, *levels_n)) if a != b}
-        if len(rises) > 1:
-            raise LimitExceeded("a ramp goes up or down, not both")
         return cls(segments=tuple(segments))
 
     @property
@@ -94,6 +111,11 @@ class ForceRamp:
     def final_n(self) -> float:
         """Force at the end in N."""
         return self.segments[-1].end_n
+
+    @property
+    def max_rate_n_s(self) -> float:
+        """Largest magnitude of the rate in N/s."""
+        return max(segment.rate_n_s for segment in self.segments)
 
     def setpoint_n(self, elapsed_s: float) -> float:
         """Return the force in N at a time since the start; the ends extend without bound."""
@@ -144,9 +166,7 @@ class ForceRamp:
         return ForceRamp(segments=(self._lead_in(force_n, self.final_n), *final_hold))
 
     def _lead_in(self, from_n: float, to_n: float) -> RampSegment:
-        lasting = [piece for piece in self.segments if piece.duration_s > 0.0]
-        rate_n_s = max((abs(p.end_n - p.start_n) / p.duration_s for p in lasting), default=0.0)
-        duration_s = abs(to_n - from_n) / (rate_n_s or 1.0)
+        duration_s = abs(to_n - from_n) / (self.max_rate_n_s or 1.0)
         return RampSegment(duration_s=duration_s, start_n=from_n, end_n=to_n)
 
 

@@ -8,6 +8,7 @@ import pytest
 from simulator.can.scanner import BurstFormat, force_bytes
 from tactile.control_unit.settings import LinkSettings
 from tactile.control_unit.watch import ForceFlow
+from tactile.errors import LayoutError
 from tactile.frames import PHASE_SHIFT, FrameAssembler, FrameFormat, crc8, decode_force_message
 from tactile.source import ForceMessage, ForceStatistics, ScanStatus, TactileFrame
 
@@ -31,6 +32,11 @@ def test_sizes(n_taxels, sample_bytes, messages, header) -> None:
     assert (frame_format.n_messages, frame_format.header_bytes) == (messages, header)
     sent = BurstFormat(n_taxels, sample_bytes)
     assert (sent.n_messages, sent.header_bytes) == (messages, header)
+
+
+def test_a_frame_of_too_many_taxels_is_refused() -> None:
+    with pytest.raises(LayoutError, match="allowed are 16384"):
+        FrameFormat(n_taxels=6 * 16384 - 4, sample_bytes=1)
 
 
 @pytest.mark.parametrize(("n_taxels", "sample_bytes"), [(1, 1), (443, 1), (444, 1), (156, 2)])

@@ -157,6 +157,7 @@ class GripControl:
         self.watch = PartWatch(grip, contact_n_m, widest_m=max(touch_m, state.aperture_m) + given_m)
         """Decides whether the part is gone; called before `goals` in each period."""
         self.slip = SlipWatch(grip.settings)
+        """Detects a slip while the set-point is steady."""
         self._law = ForceLaw(grip, moment.now_s)
         self._stalled_s: float | None = None
         self._goals = DriveGoals(grip, state)

@@ -25,6 +25,9 @@ _WINDOW_S = 0.4
 _LEAST_PERIODS = 32
 """Fewest periods of a point: in half of them, 0.08 s at 200 Hz, the counts of the encoder show an
 acceleration to 1 rad/s². [resolution]"""
+_FIRST_PERIODS = 3 * _LEAST_PERIODS // 4
+"""Fewest periods of the first point: a motion of 2 mm by each finger gives a better friction than
+the catalogue."""
 _EVEN_SHARE = 0.15
 """Share by which the currents of both halves of a free motion may differ, without what accelerates
 them. [tuned]"""
@@ -219,9 +222,9 @@ class _Run:
         end_s = self._periods[-1][0] - (_BEFORE_END_S if self._sign < 0.0 else 0.0)
         return [(t_s, servo) for t_s, servo in self._periods if t_s <= end_s]
 
-    def lasts(self, times: float = 1.0) -> bool:
-        """Return whether the motion lasts for ``times`` the periods of a point."""
-        return len(self._inner()) >= times * _LEAST_PERIODS
+    def lasts(self) -> bool:
+        """Return whether the motion is long enough for a point."""
+        return len(self._inner()) >= _LEAST_PERIODS
 
     def _part(self, periods: Sequence[tuple[float, ServoState]]) -> "_Part":
         """Return a part of the motion by a parabola through its positions (least squares)."""
@@ -241,10 +244,9 @@ class _Run:
 
         The current that accelerates the servo is taken out by the inertia of its ``drive``.
         """
-        # A short motion, of 2 mm by each finger, gives a better friction than the catalogue.
-        if not self.lasts(1.0 if drive.measured else 0.75):
-            return None
         inner = self._inner()
+        if len(inner) < (_LEAST_PERIODS if drive.measured else _FIRST_PERIODS):
+            return None
         half = len(inner) // 2
         inertia_a_s2 = drive.inertia_a_s2(self._model)
         whole, *halves = map(self._part, (inner, inner[:half], inner[half:]))

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from itertools import pairwise
 from math import inf, nan
 
@@ -20,11 +21,6 @@ def ramps(draw: st.DrawFn) -> ForceRamp:
     return ForceRamp.staircase(levels, draw(RATES), draw(HOLDS))
 
 
-def max_rate_n_s(ramp: ForceRamp) -> float:
-    pieces = [piece for piece in ramp.segments if piece.duration_s > 0.0]
-    return max([abs(p.end_n - p.start_n) / p.duration_s for p in pieces], default=0.0)
-
-
 @pytest.mark.slow
 @settings(max_examples=80)
 @given(ramps())
@@ -35,9 +31,8 @@ def test_monotone_bounded_rate_limited_and_ending_at_the_target(ramp: ForceRamp)
     changes = [b - a for a, b in pairwise(values)]
     assert all(low_n - 1e-9 <= v <= high_n + 1e-9 for v in values)
     assert all(c >= -1e-9 for c in changes) or all(c <= 1e-9 for c in changes)
-    assert all(abs(c) <= max_rate_n_s(ramp) * step_s + 1e-9 for c in changes)
-    assert ramp.setpoint_n(-1.0) == ramp.start_n
-    assert ramp.setpoint_n(ramp.duration_s + 1.0) == ramp.final_n
+    assert all(abs(c) <= ramp.max_rate_n_s * step_s + 1e-9 for c in changes)
+    assert [*map(ramp.setpoint_n, (-1.0, ramp.duration_s + 1.0))] == [ramp.start_n, ramp.final_n]
 
 
 @settings(max_examples=80)
@@ -46,7 +41,7 @@ def test_begun_at_a_measured_force_the_setpoint_does_not_jump(ramp, now_n) -> No
     begun = ramp.starting_from(now_n)
     assert begun.setpoint_n(0.0) == pytest.approx(max(0.0, now_n), abs=1e-9)
     assert begun.final_n == ramp.final_n
-    assert max_rate_n_s(begun) <= max(max_rate_n_s(ramp), 1.0) * (1.0 + 1e-6)
+    assert begun.max_rate_n_s <= max(ramp.max_rate_n_s, 1.0) * (1.0 + 1e-6)
 
 
 def test_staircase_names_its_levels() -> None:
@@ -62,13 +57,15 @@ def test_staircase_names_its_levels() -> None:
 def test_a_start_above_the_measured_force_is_approached_at_the_ramps_rate() -> None:
     begun = ForceRamp.linear(8.0, 2.0, 1.0, start_n=3.0).starting_from(1.0)
     assert [begun.setpoint_n(t) for t in (0.5, 2.0)] == pytest.approx([2.0, 5.0])
-    down = ForceRamp.linear(2.0, 2.0, 1.0, start_n=3.0).starting_from(4.0)
-    assert down.setpoint_n(0.25) == pytest.approx(3.5)
+    assert ForceRamp.linear(2.0, 2.0, 1.0, start_n=3.0).starting_from(4.0).setpoint_n(0.25) == 3.5
 
 
 def test_a_measured_force_beyond_the_end_is_lowered_and_the_hold_kept() -> None:
     begun = ForceRamp.linear(2.0, 2.0, 1.0).starting_from(3.0)
     assert (begun.setpoint_n(0.25), begun.duration_s) == pytest.approx((2.5, 1.5))
+
+
+SEGMENT = RampSegment(duration_s=1.0, start_n=0.0, end_n=1.0)
 
 
 @pytest.mark.parametrize(
@@ -80,8 +77,10 @@ def test_a_measured_force_beyond_the_end_is_lowered_and_the_hold_kept() -> None:
         (lambda: ForceRamp.staircase((1.0, nan), 1.0, 0.1), r"levels_n\[1\]"),
         (lambda: ForceRamp.staircase((3.0, 1.0), 1.0, 0.1), "not both"),
         (lambda: ForceRamp.staircase((), 1.0, 0.1), "empty"),
-        (lambda: ForceRamp.linear(1.0, 1.0, start_n=-1.0), "start_n"),
-        (lambda: ForceRamp(segments=(RampSegment(duration_s=nan, start_n=0.0, end_n=1.0),)), "d"),
+        (lambda: ForceRamp(segments=()), "at least one"),
+        (lambda: ForceRamp(segments=(SEGMENT, replace(SEGMENT, start_n=2.0))), "ends at"),
+        (lambda: ForceRamp(segments=(replace(SEGMENT, duration_s=0.0),)), "above 0"),
+        (lambda: ForceRamp(segments=(replace(SEGMENT, start_n=-1.0),)), "start_n"),
     ],
 )
 def test_ramps_that_jump_or_turn_round_cannot_exist(make, says) -> None:
@@ -93,6 +92,5 @@ def test_an_ended_ramp_stays_at_its_force_and_names_the_level_it_was_at_or_on_it
     ramp = ForceRamp.staircase((2.0, 4.0), rate_n_s=4.0, hold_s=1.0)
     for elapsed_s, force_n, level in ((0.25, 1.0, 0), (0.6, 2.0, 0), (1.75, 3.0, 1), (9.0, 4.0, 1)):
         ended = ramp.ended_at(elapsed_s)
-        assert ended.duration_s == 0.0
-        assert (ended.start_n, ended.final_n) == (force_n, force_n)
+        assert (ended.duration_s, ended.start_n, ended.final_n) == (0.0, force_n, force_n)
         assert {ended.at(t)[0].level for t in (0.0, 1.0)} == {level}
