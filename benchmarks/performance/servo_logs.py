@@ -227,8 +227,8 @@ def compared(log: Log) -> list[Row]:
     time_s = log.time_s
     begins_s = time_s[np.diff(time_s, prepend=-np.inf) > _LONGEST_S]
     settled = time_s - begins_s[np.searchsorted(begins_s, time_s, "right") - 1] > _SETTLED_S
-    if not settled.any():
-        raise BadLog(f"{log.name}: its samples must be at most {_LONGEST_S} s apart for a while")
+    if settled.sum() < _LEAST:
+        raise BadLog(f"{log.name}: too few of its samples are at most {_LONGEST_S} s apart")
     velocity_rad_s, pwm = Bench(log).run()
     speed, error = log.speed_rad_s[settled], (velocity_rad_s - log.speed_rad_s)[settled]
     most = math.hypot(SPEED_RMS_RAD_S[size(log.model)], _ENCODER_SHARE * _rms(speed))

@@ -11,13 +11,13 @@ both for longer: servos switch their torque off after some seconds, and the part
 
 from collections import deque
 from math import copysign, exp, inf
-from statistics import median
+from statistics import fmean
 
 from gripper.dynamixel.models import ServoModel
 
 _LEAST_READINGS, _MOST_READINGS = 20, 40
-"""Readings of the voltage for a median, and those that are kept: single ones are off by 0.5 to 0.8
-V while a servo holds (logs of Rhoban/bam, revision af22604)."""
+"""Readings of the voltage for a mean, and those that are kept: single ones are off by 0.5 to 0.8 V
+while a servo holds, and a median jumps between two peaks (logs of Rhoban/bam, revision af22604)."""
 _LEAST_DUTY = 0.2
 """Duty below which Present Current over the duty is too inexact."""
 _PEAK_S = 1.0
@@ -46,7 +46,7 @@ class Supply:
             self._readings_v.extend([voltage_v] * _MOST_READINGS)
         self._readings_v.append(voltage_v)
         few = len(self._readings_v) < _LEAST_READINGS
-        return max(self._readings_v) if few else median(self._readings_v)
+        return max(self._readings_v) if few else fmean(self._readings_v)
 
 
 def winding_a(

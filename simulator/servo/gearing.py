@@ -230,8 +230,8 @@ def _x330(torque: float, back_emf_v_s: float, winding_ohm: float, inertia_kg_m2:
             inertia_kg_m2=inertia_kg_m2,
             winding_ohm=winding_ohm,
         ),
-        # The friction under load grows little towards rest: a pendulum rises without steps.
-        breakaway=(1.0, 1.1),
+        # Most pendulums of the logs rise without steps; two of them stick, one at 1.28.
+        breakaway=(1.0, 1.3),
         load=(0.0, 0.0),
     )
 

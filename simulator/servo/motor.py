@@ -97,6 +97,9 @@ _CURRENT_SD_A = ((0.1, 3.4e-3), (0.5, 7.2e-3), (math.inf, 13e-3))
 _SUPPLY_SD = 0.8
 """Standard deviation of the supply of an XL330-M288 that holds, over supply and d² (1 - d) with its
 duty d: 0.55 to 0.8 V of 7.3 V at a duty of 0.34 to 0.8, and nearly none at 0 and 1."""
+_BEAT_RAD, _BEAT_SD_RAD = 1.16, 0.5
+"""Phase of this ripple from one reading to the next, mean and spread: its readings have a peak at
+either end, and follow each other with a correlation of 0.1 to 0.6."""
 
 
 def whole_counts(model: ServoModel) -> Callable[[float], int]:
@@ -163,6 +166,7 @@ class ServoNoise:
         dithers, state = _dithers(seed)
         self._random = random.Random()
         self._random.setstate(state)
+        self._phase_rad = 0.0
         self.dither = itertools.cycle(dithers).__next__
         """Returns the next deviation of the encoder in counts."""
 
@@ -173,7 +177,9 @@ class ServoNoise:
 
     def voltage_v(self, supply_v: float, duty: float) -> float:
         """Return the next deviation of a 330 size's supply in V, at a duty of 0 to 1."""
-        return self._random.gauss(0.0, _SUPPLY_SD * supply_v * duty * duty * (1.0 - duty))
+        self._phase_rad += self._random.gauss(_BEAT_RAD, _BEAT_SD_RAD)
+        sd_v = _SUPPLY_SD * supply_v * duty * duty * (1.0 - duty)
+        return math.sqrt(2.0) * sd_v * math.sin(self._phase_rad)
 
 
 FOLLOWS_POSITION = frozenset(

@@ -124,7 +124,8 @@ def truth(bench: SimulatedBench) -> dict[str, Any]:
     free_nm_a = (1.0 - drive.friction.drive) * drive.kt_nm_a
     # The slope at 0.05 N.m, the middle of the loads.
     slope = 1.0 + drive.friction.load + 2.0 * 0.05 * drive.friction.load_quadratic_per_nm
-    rising_a_nm = slope / free_nm_a
+    # The arm sticks on the scale.
+    rising_a_nm = slope / ((1.0 - drive.breakaway * drive.friction.drive) * drive.kt_nm_a)
     return {
         "shutdown_raw": model.shutdown_raw,
         "velocity_mean_s": 0.032 if supply else 0.064,

@@ -701,8 +701,7 @@ COLUMNS = [PadMount(pad=0, sent_as=0, columns_mirrored=True)]
 )
 def test_pads_that_sit_otherwise_are_found_named_and_set(make_stand, mounts, named) -> None:
     finding = make_stand(mounts=mounts).ends(WARN, PRESSED, named)
-    set_mounts = [PadMount(**mount) for mount in finding.settings["tactile.mounting"]]
-    assert set_mounts == mounts
+    assert [PadMount(**mount) for mount in finding.settings["tactile.mounting"]] == mounts
 
 
 def test_a_dead_pad_is_named_and_fails_the_step(stand) -> None:
@@ -1072,8 +1071,7 @@ def test_a_gripper_preset_is_brought_up_from_the_box(preset, sensor, tmp_path, m
     assert (now.model, now.direction) == (wanted.model, wanted.direction)
     if boards:
         said = "\n".join(line for one in findings.values() for line in one.lines)
-        mounts = [PadMount(**mount.model_dump()) for mount in config.tactile.mounting]
-        assert mounts == EXCHANGED
+        assert [PadMount(**mount.model_dump()) for mount in config.tactile.mounting] == EXCHANGED
     if sensor == "flexitac":
         assert "named by their USB sockets: leave them" in said
         assert config.tactile.serial_ports == (by_path(1), by_path(0))
