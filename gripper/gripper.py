@@ -348,7 +348,7 @@ class Gripper:
         if not duration_s >= 0.0:
             raise errors.LimitExceeded(f"duration_s is {duration_s}, must be at least 0")
         ramp = ForceRamp.linear(force_n, HOLD_AT_RATE_N_S, start_n=control.grip.setpoint_n)
-        self.check_ramp(ramp)
+        self.check_ramp(ForceRamp.linear(force_n, HOLD_AT_RATE_N_S))
         self._carried = None
         with self._command("hold_at", observer):
             if force_n != control.grip.setpoint_n:
@@ -578,11 +578,13 @@ class Gripper:
                     else "the error lasts: remedy its cause, then clear it with a reboot",
                     bits=condition.error_bits,
                 )
-        self._free.distrust()
+        under_torque = all(condition.torque_on for condition in conditions)
+        if not under_torque or isinstance(self._life.fault, errors.ServoFault):
+            self._free.distrust()
         self._life.fault = None
         self._life.motion_unconfirmed = False
         self._carried = None
-        if self._servos.goals.last and all(condition.torque_on for condition in conditions):
+        if self._servos.goals.last and under_torque:
             self._life.rest()
         elif any(condition.torque_on or not condition.answers for condition in conditions):
             # This gripper gave no goals, or some are no longer in force.

@@ -64,14 +64,14 @@ class FingersLeft(StrEnum):
     """
 
     STOPPED = "stopped"
-    ONE_SIDED = "stopped, one of them silent or without torque,"
+    ONE_SIDED = "stopped, at least one silent or without torque,"
     LIMP = "lost their torque"
     UNCONFIRMED = "were seen last"
 
 
 _GRIP_LEFT = {
-    FingersLeft.ONE_SIDED: "stand still, one of them silent or without torque; a part may still be "
-    "gripped",
+    FingersLeft.ONE_SIDED: "stand still, at least one silent or without torque; a part may "
+    "still be gripped",
     FingersLeft.LIMP: "have no torque any more; a part may have been dropped",
     FingersLeft.UNCONFIRMED: "do not answer; a part may still be gripped",
 }
@@ -306,7 +306,11 @@ class Lifecycle:
         goals = [goal.lasting for goal in servos.goals.last]
         # Goals that were written may brake.
         asked = [goal.lasting for goal in servos.goals.asked]
-        left, least_n, state = 1.0, inf, servos.read_patiently()
+        try:
+            left, least_n, state = 1.0, inf, servos.read_patiently()
+        except errors.GripperError:
+            servos.hold_position(share)  # the others obey also while one is silent
+            raise
         from_m, opened_s, end_s = inf, -inf, state.t_s + _LONGEST_LOWERING * _LOWERING_S
         while goals and (newest := servos.goals.newest_force) and state.t_s < end_s:
             forces_n = servos.goals.newest_forces_n

@@ -377,8 +377,9 @@ class GoalWriter:
 def check_temperature(settings: GripperSettings, state: ServoFeedback) -> None:
     """Raise LimitExceeded for a servo that is too warm to press; its own limit drops the part."""
     if state.temperature_c > settings.temperature_max_c:
+        hot = max(state.servos, key=lambda servo: servo.temperature_c)
         raise LimitExceeded(
-            f"a servo has {state.temperature_c:.0f} C, temperature_max_c is "
+            f"servo {hot.servo_id} has {hot.temperature_c:.0f} C, temperature_max_c is "
             f"{settings.temperature_max_c:g}: take out a part that is held, and let it cool down"
         )
 

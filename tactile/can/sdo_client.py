@@ -175,6 +175,9 @@ class PolledSdoClient(SdoClient):
             except SdoCommunicationError as error:
                 failure = error
             except SdoAbortedError as error:
+                if isinstance(error.__context__, SdoCommunicationError):
+                    failure = error.__context__  # after a lost answer canopen ends a write too soon
+                    continue
                 advice = _ADVICE.get(error.code >> 16, _UPDATE)
                 raise ObjectRefused(f"{what} was refused ({error}): {advice}") from error
             except (can.CanError, OSError) as error:

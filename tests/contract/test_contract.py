@@ -509,8 +509,7 @@ def test_what_cannot_be_done_is_aborted_with_its_code(unit, why: str) -> None:
     assert answer[1:4] == asked[1:4]
     assert int.from_bytes(answer[4:], "little") == code
     # and the server still serves
-    vendor = unit.sdo(request(READ_OBJECT, 0x1018, 1))
-    assert int.from_bytes(vendor[4:], "little") == od.VENDOR_ID
+    assert int.from_bytes(unit.sdo(request(READ_OBJECT, 0x1018, 1))[4:], "little") == od.VENDOR_ID
 
 
 # -- What a CiA 402 drive does on its bus, simulated or real, as far as the axes rely on it --------
@@ -576,8 +575,7 @@ def test_it_goes_to_both_ends_and_stops_quickly_on_the_way(drive: Any) -> None:
     low, high, near = settings.low, settings.high, settings.window
     middle, way = 0.5 * (low + high), 0.4 * (high - low)
     for target in (middle - way, middle + way):
-        reached = drive.axes.move({axis.name: target})[axis.name]
-        assert reached == pytest.approx(target, abs=near)
+        assert drive.axes.move({axis.name: target})[axis.name] == pytest.approx(target, abs=near)
 
     half_s = way / settings.velocity
     began_s = drive.clock.monotonic()

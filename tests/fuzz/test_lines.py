@@ -164,8 +164,7 @@ def test_the_driver_takes_whole_lines_only(terminal, stream, harm, piece):
     ],
 )
 def test_a_line_that_is_not_whole_is_no_message(terminal, line) -> None:
-    parts = pieces(line + b"\rt1821BB\r", 40)
-    assert received(*terminal, parts) == [(0x182, False, b"\xbb")]
+    assert received(*terminal, pieces(line + b"\rt1821BB\r", 40)) == [(0x182, False, b"\xbb")]
     assert terminal[1].bad_lines == 1
 
 

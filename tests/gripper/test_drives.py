@@ -149,6 +149,7 @@ def test_friction_that_no_sound_servo_has_is_a_fault_with_a_way_out(make_started
         wear()
     cell.motors[0].friction_factor = _CATALOGUE
     cell.gripper.clear_fault()
+    assert not any(drive.measured for drive in drives(cell))
     cell.gripper.release()
     cell.gripper.measure_friction()
     check_friction(cell)

@@ -113,8 +113,7 @@ def polled(
 
 def run(cell: SimulatedCell, source: FrameSource, seconds: float) -> list[TactileFrame]:
     """Poll the source of boards and return the frames."""
-    arrivals = polled(cell.clock, source, seconds)
-    return [frame for arrived in arrivals for frame in arrived.frames]
+    return [frame for arrived in polled(cell.clock, source, seconds) for frame in arrived.frames]
 
 
 @pytest.fixture

@@ -68,12 +68,12 @@ class FreeMotion:
         self._priors.clear()
 
     def distrust(self) -> None:
-        """Discard the known friction: after a fault the next motion measures it again."""
+        """Put the catalogue's friction back: the servos may be others, or a cable was freed."""
         self.forget()
         for servo in self._settings.servos:
-            drive = self._drives.of(servo)
-            if drive.measured:
-                self._drives.put(servo.servo_id, drive.distrusted)
+            usual = DriveCharacteristic.catalogue(servo.servo_model)
+            friction = {name: getattr(usual, name) for name in _FRICTION}
+            self._drives.put(servo.servo_id, replace(self._drives.of(servo), **friction))
 
     def run(
         self, step: Step, is_free: Callable[[ServoFeedback], bool], *, needs_force: bool = True

@@ -214,8 +214,7 @@ def test_a_kill_at_any_moment_gives_each_row_once_after_the_next_run(tmp_path, m
 def test_an_object_store_is_an_archive_too(fleet, archived) -> None:
     target = "memory://fleet"
     add(target, sources([fleet])[:2])
-    expected = [row for row in every(archived) if "run-00" in row["recording"]]
-    assert every(target) == expected
+    assert every(target) == [row for row in every(archived) if "run-00" in row["recording"]]
     assert len(list(Archive(target).grasps())) == 12
     fsspec.filesystem("memory").rm("/fleet", recursive=True)
 

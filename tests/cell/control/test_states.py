@@ -165,8 +165,7 @@ def test_a_refused_command_changes_nothing_and_an_accepted_one_goes_the_way_of_t
     way += command_path(walk.controller.life.state, Command.SHUTDOWN)
     walk.bench.cell.close()
     recorded = [entry["state"] for entry in read_recording(tmp_path / "recording.mcap").states]
-    entered = [name for name, _ in groupby([CellState.STOPPED, *recorded])]
-    assert entered[-len(way) :] == way
+    assert [name for name, _ in groupby([CellState.STOPPED, *recorded])][-len(way) :] == way
 
 
 # -- the grip --------------------------------------------------------------------------------

@@ -549,8 +549,7 @@ def test_an_error_of_nobodys_tree_is_named_and_its_origin_kept() -> None:
     class BoardSilent(LinkFault):  # of a sensor plugin: it keeps its fault number
         pass
 
-    silent = BoardSilent("no bytes", threading.Lock())
-    assert type(got := crossed(silent)) is LinkFault
+    assert type(got := crossed(BoardSilent("no bytes", threading.Lock()))) is LinkFault
     assert "BoardSilent: ('no bytes', <unlocked" in str(got)
     assert "unlocked" in str(crossed(ValueError(threading.Lock())))
 

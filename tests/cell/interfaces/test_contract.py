@@ -276,8 +276,7 @@ def test_a_rotation_vector_rolls_first_then_turns(rotation: float, roll: float) 
     pose = ur_pose(Pose(x_m=0.001, y_m=-0.002, rotation_rad=rotation, roll_rad=roll))
     assert (pose["x"], pose["y"], pose["z"]) == (0.001, -0.002, 0.0)
     vector = Rotation.from_rotvec([pose["rx"], pose["ry"], pose["rz"]])
-    rolled_then_turned = Rotation.from_euler("xz", [roll, rotation])
-    assert vector.approx_equal(rolled_then_turned, atol=1e-12)
+    assert vector.approx_equal(Rotation.from_euler("xz", [roll, rotation]), atol=1e-12)
 
 
 # -- Opening the interfaces, who may connect, and the address that a browser opens -----------------

@@ -221,8 +221,7 @@ def test_faults_of_a_simulated_cell_begin_and_end_on_request(connect, capsys) ->
     exec(f"{begin}\n{show}", typed)
     assert capsys.readouterr().out == "[{'fault': 'servo1.off', 'begun': True}]\n"
     for wrong in ("servo1.of", "servo9.off", "servo1.off"):
-        answer = host.ask("POST", "/api/simulation/faults", {"fault": wrong})
-        check_refusal(*answer, status=422)
+        check_refusal(*host.ask("POST", "/api/simulation/faults", {"fault": wrong}), status=422)
     exec(end, typed)
     assert host.get("/api/simulation/faults")["running"] == []
     check_refusal(*host.ask("DELETE", "/api/simulation/faults?fault=can.loss"), status=422)

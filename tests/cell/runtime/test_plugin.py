@@ -239,8 +239,7 @@ def test_a_plugin_that_is_dropped_disconnects_and_ends_its_threads(plugin_class)
     host = list[Any]()
     mover = partial(lambda _host, _pose: None, host)
     host.append(plugin_class(quick_config(host_timeout_s=1000.0), mover=mover))
-    job = host[0].start(GripGoal(force_n=3.0, present="ball"))
-    assert host[0].result(job, LIMIT_S).held
+    assert host[0].result(host[0].start(GripGoal(force_n=3.0, present="ball")), LIMIT_S).held
     threads = [host[0]._worker._thread, host[0]._lease._thread]
     disconnected: list[bool] = []
     host[0].cell._closing.callback(disconnected.append, True)

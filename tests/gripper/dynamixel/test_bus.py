@@ -166,8 +166,7 @@ def test_no_time_left_in_the_period_means_no_retry(script, clock) -> None:
 def test_a_late_answer_is_never_taken_for_the_next_one(script, bus) -> None:
     time_out(script, bus, (0.030, IS_166))
     script.expect(SYNC_132, (0.0002, ONE_IS_2079), (0.0003, TWO_IS_2079))
-    read = bus.sync_read([1, 2], RegisterBlock(PRESENT_POSITION))
-    assert read[1]["present_position"] == 2079
+    assert bus.sync_read([1, 2], RegisterBlock(PRESENT_POSITION))[1]["present_position"] == 2079
     assert bus.statistics.late == 1
 
 

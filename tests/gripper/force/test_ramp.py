@@ -50,8 +50,7 @@ def test_staircase_names_its_levels() -> None:
     times_s = [0.2, 0.7, 1.5, 2.2, 2.7, 3.2, 99.0]
     assert [ramp.at(t)[0].level for t in times_s] == [None, 0, None, 1, None, 2, 2]
     assert [ramp.setpoint_n(t) for t in (0.7, 2.2, 3.2)] == [1.0, 3.0, 4.0]
-    late = ramp.starting_from(2.0)
-    assert [late.at(t)[0].level for t in (0.1, 0.6)] == [None, 1]
+    assert [ramp.starting_from(2.0).at(t)[0].level for t in (0.1, 0.6)] == [None, 1]
 
 
 def test_a_start_above_the_measured_force_is_approached_at_the_ramps_rate() -> None:

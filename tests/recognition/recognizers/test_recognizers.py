@@ -65,8 +65,7 @@ def test_a_hand_of_five_fingers_of_which_an_object_presses_two():
             for grasp in make_grasps(n, seed=seed, pads=pads, objects=[made], gripping=gripping)
         ]
 
-    recognizer = make_trainer("force_ramp").fit(grasps(8, seed=5))
-    assert accuracy(recognizer, grasps(4, seed=6)) == 1.0
+    assert accuracy(make_trainer("force_ramp").fit(grasps(8, seed=5)), grasps(4, seed=6)) == 1.0
 
 
 def test_a_grasp_without_contact_is_unknown(taught, fresh):

@@ -165,8 +165,7 @@ def test_table_and_zero_need_a_right_checksum_and_can_be_read_back(line) -> None
     table = force_table(line.layout, FoamCalibration(255).force_n)
     assert line.write(0x2141, 0, table) == 0
     assert line.read(0x2141) == table
-    damaged = bytes((table[0] ^ 1,)) + table[1:]
-    assert line.write(0x2141, 0, damaged) == 0x0609_0030
+    assert line.write(0x2141, 0, bytes((table[0] ^ 1,)) + table[1:]) == 0x0609_0030
     assert line.read(0x2141) == table
 
 

@@ -83,8 +83,7 @@ def test_the_manuals_example(values, request_, answer, changed) -> None:
 
 def test_bytes_that_are_stuffed_both_ways() -> None:
     talk = Conversation({1: {"operating_mode": 5}})
-    stuffed = "FFFFFD00 01 0A00 03 7400 FFFFFDFDFF 23E5"
-    assert talk.exchange(wire(stuffed)) == wire(ACK)
+    assert talk.exchange(wire("FFFFFD00 01 0A00 03 7400 FFFFFDFDFF 23E5")) == wire(ACK)
     assert talk.registers[1].get("goal_position") == -131073
     # As the vendor's package 4.1.0 sends it: the stuffing does not reach the wire.
     assert talk.exchange(wire("FFFFFD00 01 0900 03 7400 FFFFFDFF CB05")) == b""

@@ -288,8 +288,7 @@ def test_the_servos_of_a_cell_are_drawn_by_its_seed_and_their_ids():
     first, second = (SimulatedServoSettings(servo_id=n) for n in (1, 2))
     figures = [one.motor(seed).kt_nm_a for one in (first, second) for seed in (0, 1)]
     assert len(set(figures)) == 4
-    again = [one.motor(seed).kt_nm_a for one in (first, second) for seed in (0, 1)]
-    assert again == figures
+    assert [one.motor(seed).kt_nm_a for one in (first, second) for seed in (0, 1)] == figures
     ideal = SimulatedServoSettings(servo_id=1, gearing="ideal")
     assert ideal.motor(0).kt_nm_a == ideal.motor(1).kt_nm_a == data_sheet(XM430_W350).kt_nm_a
 

@@ -237,9 +237,14 @@ def test_an_object_that_the_unit_refuses_is_named_with_the_abort_in_words(idle, 
         idle.link.start()
 
 
-def test_lost_sdo_responses_are_asked_for_again_and_hide_no_second_unit(idle) -> None:
-    copy(idle, 0x580 + NODE, 0, times=2)
-    assert idle.link.start().vendor_id == od.VENDOR_ID
+@pytest.mark.parametrize("before", [0, 66, 140])
+def test_lost_sdo_responses_are_asked_for_again_and_hide_no_second_unit(
+    make_forces, before: int
+) -> None:
+    idle, answers = make_forces(), itertools.count()
+    idle.alter(0x580 + NODE, lambda burst: [] if next(answers) == before else burst)
+    assert idle.link.start().sends_forces
+    assert next(answers) > before
     idle.link.stop()
     copy(idle, 0x580 + NODE, 0, times=2)
     copy(idle, 0x580 + NODE, 2, times=7)

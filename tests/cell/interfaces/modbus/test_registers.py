@@ -230,8 +230,7 @@ def test_a_pose_has_its_registers(connect) -> None:
     served, plc = connect(adopt=True)
     served.ask_pose(Pose(x_m=0.00123, y_m=-0.0004, rotation_rad=0.5, roll_rad=-0.25))
     inputs = plc.inputs()
-    registers = struct.unpack(">4h", struct.pack(">4H", *inputs[17:21]))
-    assert registers == (123, -40, 286, -143)
+    assert struct.unpack(">4h", struct.pack(">4H", *inputs[17:21])) == (123, -40, 286, -143)
     assert plc.command(REACHED, inputs[16]) == 0
     assert plc.inputs()[16:21] == [0] * 5
 
