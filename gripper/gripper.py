@@ -565,10 +565,11 @@ class Gripper:
         if not any(condition.answers for condition in conditions):
             # Reading again raises the fault of the bus.
             self._servos.torques()
-        restart = [servo.servo_id for servo in conditions if servo.error_bits or servo.strayed]
-        if restart and reboot:
-            self._servos.reboot(restart)
-            conditions = self.conditions()
+        for _ in range(2 if reboot else 0):  # a request may be lost
+            restart = [servo.servo_id for servo in conditions if servo.error_bits or servo.strayed]
+            if restart:
+                self._servos.reboot(restart)
+                conditions = self.conditions()
         for condition in conditions:
             if condition.error_bits:
                 raise errors.ServoFault(

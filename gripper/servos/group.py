@@ -491,7 +491,10 @@ class Servos:
         item = required[n_rounds % len(required)]
         if item.item == ct.HARDWARE_ERROR_STATUS.name:
             return
-        raw = self._bus.read(servo.servo_id, ct.REGISTERS[item.item])
+        register = ct.REGISTERS[item.item]
+        raw = self._bus.read(servo.servo_id, register)
+        if not item.met_by(raw):
+            raw = self._bus.read(servo.servo_id, register)  # it may be an older answer again
         if not item.met_by(raw):
             raise errors.ServoFault(
                 servo.servo_id,

@@ -30,7 +30,7 @@ _FIRST_PERIODS = 3 * _LEAST_PERIODS // 4
 the catalogue."""
 _EVEN_SHARE = 0.15
 """Share by which the currents of both halves of a free motion may differ, without what accelerates
-them. [tuned]"""
+them; and largest share of a first point that the inertia leaves uncertain. [tuned]"""
 _SAME_SPEED = 1.3
 """Ratio of speeds below which they are one point: the newest motion counts. [chosen]"""
 _FEW_POINTS, _MOST_POINTS = 4, 16
@@ -261,5 +261,8 @@ class _Run:
         if whole.speed_rad_s * whole_a <= 0.0 or abs(second_a - first_a) > unlike_a:
             # The servo is driven from outside, or presses on something.
             return None
-        sd_a = hypot(spread_a, self._step_a, INERTIA_SD * (whole.current_a - whole_a))
+        inertia_sd_a = INERTIA_SD * abs(whole.current_a - whole_a)
+        if not drive.measured and 2.0 * inertia_sd_a > _EVEN_SHARE * abs(whole_a):
+            return None
+        sd_a = hypot(spread_a, self._step_a, inertia_sd_a)
         return FreePoint(whole.speed_rad_s, whole_a, sd_a)
