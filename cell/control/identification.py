@@ -207,12 +207,17 @@ class Judge:
             posteriors=tuple(self.posteriors),
             fused=fuse(self.posteriors),
             records=tuple(self.records),
-            drift=self.recognizer.grid if isinstance(self.recognizer, DriftFollowing) else None,
+            drift=self._drift(),
             complaints=tuple(self._complaints),
             shapes=tuple(self._shapes),
             shape=shape,
             in_grip=in_grip,
         )
+
+    def _drift(self) -> DriftGrid | None:
+        if not isinstance(self.recognizer, DriftFollowing):
+            return None
+        return self.recognizer.grid.at(self.records[-1].grasp.start_ms)
 
     def decide(self) -> GraspStep | None:
         """Wait for the answer, while the part is held; return the step of a further ramp, or None.

@@ -158,7 +158,8 @@ class TaughtModel:
         A drift that is likely by now is taken off them. So all grasps of the training set are as
         the sensors were when the first of them were taught.
         """
-        if (grid := self.drift) is not None and grid.likely:
+        grid = self.drift
+        if grid and grasps and (grid := grid.at(grasps[0].start_ms)).likely:
             drift = grid.drift
             grasps = [g if g.zero is not None else drift.undo(g) for g in grasps]
             # The grasps are as before the drift, but of today: the drift belongs to the model now.

@@ -529,6 +529,9 @@ def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught) -> None:
     assert before.aperture_offset_m < -0.3e-3
     gauged.train()
     assert gauged.drift.drift == before
+    late = replace(balls[-1], start_ms=balls[-1].start_ms + 50_000_000, zero=None)  # 14 h
+    gauged.add([late])
+    assert gauged.training_set[-1] is late
 
 
 @pytest.mark.usefixtures("made_up_zero")
