@@ -211,7 +211,8 @@ class TactileLink(LatchingSource):
     def _commission(self) -> SourceIdentity:
         objects, watch, settings = self.objects, self._watch, self.settings
         self._source.start()
-        self._wait_for("RESET COMMUNICATION", lambda: watch.boot_ups > 0, "did not boot")
+        self._command("RESET COMMUNICATION")
+        self._wait_for(lambda: watch.boot_ups > 0, "did not boot")
         identity = refuse_other_unit(objects, self.layout, self._node_id, settings)
         table = self._force_table if self._answers_in_time() else None
         set_up(objects, settings, self._node_id, table)
@@ -225,8 +226,8 @@ class TactileLink(LatchingSource):
                 f"{self._name} booted {watch.boot_ups} times while it was set up: its "
                 "supply is unstable, or two units have the same node-ID"
             )
-        operates = lambda: watch.state == OPERATIONAL  # noqa: E731
-        self._wait_for("OPERATIONAL", operates, "did not become operational")
+        self._command("OPERATIONAL")
+        self._wait_for(lambda: watch.state == OPERATIONAL, "did not become operational")
         # From now on SYNC is sent, and heartbeat, state, frames and force messages are supervised.
         now_s = self._looked_s = self._next_sync_s = self.clock.monotonic()
         watch.enter_operation(now_s)
@@ -340,17 +341,10 @@ class TactileLink(LatchingSource):
         if now_s >= self._next_sync_s - _SYNC_EARLY_S:
             self._sync(now_s, self._next_sync_s)
 
-    def _wait_for(self, command: str, condition: Callable[[], bool], failure: str) -> None:
-        """Command an NMT state, again if nothing comes of it, until a condition holds.
-
-        Raises NodeMissing with ``failure`` where it does not hold in the start-up time of either.
-        """
+    def _wait_for(self, condition: Callable[[], bool], failure: str) -> None:
+        """Service until a condition holds; NodeMissing with ``failure`` after the start-up time."""
         timeout_s = self.settings.startup_timeout_s
-        for _ in range(2):
-            self._command(command)
-            if self.objects.until(condition, timeout_s):
-                break
-        else:
+        if not self.objects.until(condition, timeout_s):
             ids = ", ".join(str(node) for node in sorted(self._network.scanner.nodes))
             nodes = f"node-IDs heard: {ids}" if ids else "no node is heard on this bus"
             raise errors.NodeMissing(
