@@ -209,7 +209,7 @@ def test_slcan_opens_with_bit_rate_and_without_waiting(adapter, monkeypatch) -> 
         patched.setattr(time, "sleep", waits_s.append)
         bus = open_bus("slcan", adapter.path, bitrate=500_000)
     assert sum(waits_s) < 0.1
-    assert b"S6\r" in adapter.read(b"O\r")
+    assert b"S6\r" in adapter.read(b"O\rO\r")
     bus.send(can.Message(arbitration_id=0x80, is_extended_id=False))
     bus.send(can.Message(arbitration_id=0x605, data=b"\x40\x18", is_extended_id=False))
     assert adapter.read(b"18\r") == b"t0800\rt60524018\r"
