@@ -1,6 +1,7 @@
 """One Dynamixel servo as an axis: extended position mode, profile, load and stall supervision."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 from typing import TypeVar
@@ -124,10 +125,12 @@ class ServoAxis(Axis):
         self._ask(lambda: self._bus.demand_answers((self._id,)))
         self.identify()
         error = self._read(ct.HARDWARE_ERROR_STATUS)
-        if error and reboot:
-            self._ask(lambda: self._bus.reboot(self._id))
-            self._watch.pause(_REBOOT_S)
-            error = self._read(ct.HARDWARE_ERROR_STATUS)
+        for _ in range(2 if reboot else 0):  # the request may be lost
+            if error:
+                with suppress(GripperError):  # it may restart without an answer
+                    self._bus.reboot(self._id)
+                self._watch.pause(_REBOOT_S)
+                error = self._read(ct.HARDWARE_ERROR_STATUS)
         if error:
             raise self._fault(error)
 

@@ -491,14 +491,14 @@ class WebInterface(HttpServer):
         """List the taught objects: stored grasps, shape and size in mm."""
         return list(plain_data(self._plugin.taught()))
 
-    def forget(self, label: str, lease: int, last: bool = False) -> dict[str, int]:
+    def forget(self, label: str, lease: int, last: bool = False, job: int = 0) -> dict[str, int]:
         """Start to delete a taught object, or with ``last=true`` its newest grasp.
 
         It is deleted when the job has succeeded.
         """
         start = partial(self._plugin.forget, label, last=last)
         given = {"label": label, "last": last}
-        return {"job": self._service.begin(lease, "forget", start, given=given)}
+        return {"job": self._service.begin(lease, "forget", start, number=job, given=given)}
 
     def start(
         self, body: Annotated[StartBody, Body(openapi_examples=JOB_EXAMPLES)]

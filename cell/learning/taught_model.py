@@ -208,6 +208,7 @@ class TaughtModel:
         few = self._too_few(left, needed)
         if all(grasp.label in few for grasp in left):
             self._trained, self.training_set = None, left
+            self._drift_remarked = self._zero_remarked = False
             self._n_trained += 1
             return
         try:
@@ -300,7 +301,8 @@ class TaughtModel:
         recognizer = self.recognizer
         if not isinstance(recognizer, DriftFollowing):
             return ""
-        if self.config.recognition.follow_drift:
+        # One object alone gets the names of others: their sizes are no drift.
+        if self.config.recognition.follow_drift and len(self.labels) > 1:
             for record in records:
                 outcome = record.outcome
                 if outcome.result is GraspResult.FORCE_REACHED and not outcome.ended_early:
