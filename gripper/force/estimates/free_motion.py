@@ -72,8 +72,7 @@ class FreeMotion:
         self.forget()
         for servo in self._settings.servos:
             usual = DriveCharacteristic.catalogue(servo.servo_model)
-            friction = {name: getattr(usual, name) for name in _FRICTION}
-            self._drives.put(servo.servo_id, replace(self._drives.of(servo), **friction))
+            self._drives.put(servo.servo_id, _with_friction(usual, self._drives.of(servo)))
 
     def run(
         self, step: Step, is_free: Callable[[ServoFeedback], bool], *, needs_force: bool = True
@@ -147,8 +146,7 @@ class FreeMotion:
         points[:] = [old._replace(current_a=follows * old.current_a) for old in others]
         points.append(point)
         self._priors[servo_id] = prior = prior.with_friction(follows)
-        before = replace(drive, **{name: getattr(prior, name) for name in _FRICTION})
-        fitted = fit_friction(points, before)
+        fitted = fit_friction(points, _with_friction(prior, drive))
         fitted = replace(
             fitted,
             breakaway_a=fitted.coulomb_a * drive.breakaway_share,
@@ -171,6 +169,11 @@ class FreeMotion:
             f"servo {servo_id}: its free motion takes {ratio:.2f} times the current of before: "
             f"{cause}. It is measured anew; `tactile-cell hand zero` measures the rest"
         )
+
+
+def _with_friction(other: DriveCharacteristic, drive: DriveCharacteristic) -> DriveCharacteristic:
+    """Return a drive with the friction of another one."""
+    return replace(drive, **{name: getattr(other, name) for name in _FRICTION})
 
 
 def _alike(point: FreePoint, other: FreePoint) -> bool:
