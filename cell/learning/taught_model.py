@@ -320,7 +320,7 @@ class TaughtModel:
         self._zero_remarked = True
         return (
             "the model was taught without a self-zero, so today's self-zero is not used and "
-            "answers allow for any drift: teach again after a self-zero, or gauge"
+            "answers allow for any drift: teach a new model after a self-zero, or gauge"
         )
 
     def _with_grid(self, grid: DriftGrid) -> None:

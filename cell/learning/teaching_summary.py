@@ -89,8 +89,9 @@ def zero_note(grasps: Sequence[Grasp]) -> str:
         return ""
     return (
         f"{without} of {len(grasps)} grasps have no self-zero, so the model "
-        "uses none and answers allow for any drift on another day: teach their objects again "
-        "after a self-zero (config `self_zero`, `tactile-cell hand zero`)"
+        "uses none and answers allow for any drift on another day: forget their objects, or "
+        "begin a new data set, and teach after a self-zero (config `self_zero`, "
+        "`tactile-cell hand zero`)"
     )
 
 
