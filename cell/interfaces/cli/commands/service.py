@@ -51,62 +51,8 @@ _CHIPS = "0403|10c4|1a86"
 """USB vendors whose adapters brltty mistakes for braille displays: FTDI, Silicon Labs, WCH."""
 _FREE_PORTS = 1024
 """First port that a program opens without a privilege."""
-_UNIT = """\
-# A cell that names parts by touch. Made by `tactile-cell service install`.
-[Unit]
-Description=tactile-cell, the robot cell that names parts by touch
-Wants=network-online.target
-After=network-online.target
-# It always starts again, without a limit. A supervisor looks at the fault.
-StartLimitIntervalSec=0
-
-[Service]
-Type=notify
-NotifyAccess=main
-{prepare}ExecStart={command}
-WorkingDirectory={state}
-StateDirectory={name}
-User={name}
-SupplementaryGroups=dialout
-
-# Ready when clients can command. Before that, the first start of the built-in cell teaches objects.
-TimeoutStartSec=180
-# Fed only while the service works, see /healthz. The signal ends the cell; the grip is kept.
-WatchdogSec=30
-WatchdogSignal=SIGTERM
-
-# The force loop is a second process. Before it ends it freezes the grip and disarms the bus
-# watchdog of the servos. No process may be killed before that: "control-group" sends SIGTERM to
-# both, and SIGKILL after TimeoutStopSec. "mixed" would send SIGKILL to the force loop as soon as
-# the main process ends.
-KillMode=control-group
-KillSignal=SIGTERM
-TimeoutStopSec=45
-OOMPolicy=continue
-OOMScoreAdjust=-500
-# A start with a part in the grip moves nothing and waits for `clear` and `release`.
-Restart=on-failure
-RestartSec=2
-# 2: wrong use or a wrong config, which another start does not correct.
-RestartPreventExitStatus=2
-
-# The force loop requests SCHED_FIFO and locked memory.
-LimitRTPRIO=99
-LimitMEMLOCK=infinity
-
-# The line with all ports is for programs; people read the journal.
-StandardOutput=null
-StandardError=journal
-SyslogIdentifier={name}
-
-NoNewPrivileges=yes
-ProtectSystem=strict
-ProtectHome=read-only
-PrivateTmp=yes
-{further}
-[Install]
-WantedBy=multi-user.target
-"""
+_UNIT = Path(__file__).with_name("tactile-cell.service")
+"""Template of the unit; `_unit` fills in what depends on the cell."""
 
 
 def system_files(
@@ -169,7 +115,7 @@ def _unit(config: CellConfig, config_file: Path | None, options: tuple[str, ...]
     further = f"ReadWritePaths={_quoted(f'-{folder}')}\n" if folder.is_absolute() else ""
     if any(port < _FREE_PORTS for port in config.serve.ports):
         further += "AmbientCapabilities=CAP_NET_BIND_SERVICE\n"
-    return _UNIT.format(
+    return _UNIT.read_text("utf-8").format(
         command=" ".join(map(_quoted, command)).replace("$", "$$"),
         name=NAME,
         prepare=prepare,
