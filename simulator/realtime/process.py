@@ -24,7 +24,7 @@ from simulator.realtime.terminals import BoardPty, SerialPty
 from simulator.servo.bus import SerialDevice
 from simulator.servo.wrist import SimulatedWrist
 from simulator.settings import SimulatorSettings
-from simulator.world.shapes import MeshShape, ObjectPose
+from simulator.world.shapes import ObjectPose
 from simulator.world.world import NOTHING, STEP_S
 from tactile.layout import Pad
 
@@ -41,7 +41,7 @@ Handler = Callable[[dict[str, Any]], dict[str, Any]]
 
 
 _REQUESTS = (
-    *("place", "check", "define", "remove", "press", "lift"),
+    *("place", "check", "remove", "press", "lift"),
     *("hand", "state", "kinds", "inject", "clear"),
 )
 """Names of requests; each has a method of `CellRequests`."""
@@ -56,7 +56,6 @@ class CellRequests:
       ``nothing`` removes the object. ``"offset": {"x_m": ..}`` is added to the poses of this object
       and of all later ones
     - ``{"check": label}``: ``{"known": true}`` if it is an object, a shape as text or ``nothing``
-    - ``{"define": label, "shape": text}``: ``{"objects": [..]}``, with another name for a shape
     - ``{"remove": true}``: ``{"removed": true}``
     - ``{"press": "finger0.inner", "at": ["tip", "left"], "force_n": 2.0}``: ``{"pressed": pad}``, a
       person's fingertip on a pad, in its middle or at some of tip, base, left, right, inside,
@@ -110,15 +109,6 @@ class CellRequests:
         if self._label(label) != NOTHING:
             self._devices.world.shape(label)
         return {"known": True}
-
-    def _define(self, name: Any, request: dict[str, Any]) -> dict[str, Any]:
-        shape, world = request.get("shape"), self._devices.world
-        if not isinstance(name, str) or name in (*self._devices.settings.objects, NOTHING, ""):
-            raise SimulatorSettingsError(f"{name!r:.60} cannot be defined: take another name")
-        if not isinstance(shape, MeshShape):
-            shape = world.shape(self._label(shape))
-        world.objects[name] = shape
-        return {"objects": list(world.objects)}
 
     def _label(self, label: Any) -> str:
         """Return the name or text of a shape; names of files are refused."""

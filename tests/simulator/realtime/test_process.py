@@ -279,11 +279,11 @@ def test_objects_are_placed_and_the_reply_says_where_they_rest(requests, devices
     assert devices.world.placed is None
 
 
-def test_objects_get_names_and_lie_beside_their_pose(requests, devices) -> None:
+def test_named_objects_lie_beside_their_pose(requests, devices) -> None:
     assert requests({"check": "nothing"}) == {"known": True}
     with pytest.raises(SimulatorSettingsError, match="no object 'mug'; there are "):
         requests({"check": "mug"})
-    assert "mug" in requests({"define": "mug", "shape": "sphere:diameter=8mm"})["objects"]
+    devices.world.objects["mug"] = devices.world.shape("sphere:diameter=8mm")
     assert requests({"place": "mug"})["pose"]["x_m"] == 0.0
     requests({"place": "mug", "offset": {"x_m": 0.001}})
     assert requests({"place": "mug", "pose": {"x_m": 0.002}})["pose"]["x_m"] == 0.003
@@ -309,7 +309,6 @@ def test_objects_get_names_and_lie_beside_their_pose(requests, devices) -> None:
         ({"place": "ball", "pose": {"y_m": 1e308}}, "limit 100 m"),
         ({"place": "ball", "pose": {"y_m": 10**400}}, "must be a finite number"),
         ({"place": "ball", "offset": {"x_m": 9.0}}, "lies beside the pad"),
-        ({"define": "ball", "shape": "box"}, "take another name"),
         ({"press": ["finger0.tip"]}, "there is no pad"),
         ({"press": "finger0.tip", "at": "left"}, "a pad has the places tip, left"),
         ({"hand": {"3": 0.01}}, "there is no servo 3"),
