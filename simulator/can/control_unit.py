@@ -18,8 +18,9 @@ from canopen.sdo import constants as sdo
 from simulator.can.faults import ControlUnitFaults
 from simulator.can.link import mean_bits
 from simulator.can.node import CanopenDevice, object_name
-from simulator.can.scanner import DamagedObject, ScannedWorld, Scanner
+from simulator.can.scanner import DamagedObject, Scanner
 from simulator.clock import ROUNDING_S
+from simulator.world.world import PhysicalWorld
 from tactile.control_unit import object_dictionary as unit_od
 from tactile.layout import TaxelLayout
 
@@ -71,7 +72,7 @@ class SimulatedControlUnit(CanopenDevice):
 
     def __init__(
         self,
-        world: ScannedWorld,
+        world: PhysicalWorld,
         layout: TaxelLayout,
         settings: ControlUnitSettings | None = None,
         *,

@@ -9,13 +9,13 @@ from binascii import crc_hqx
 from dataclasses import dataclass
 from functools import cache
 from math import ceil
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from simulator.can.faults import ControlUnitFaults
+from simulator.world.world import PhysicalWorld
 from tactile.layout import TaxelLayout
 from tactile.source import ForceMessage, ScanStatus
 
@@ -150,16 +150,6 @@ FORCE_SCAN_S = 0.005
 """Longest time in s between two scans of the gripping pads (the unit's page, TPDO2)."""
 
 
-class ScannedWorld(Protocol):
-    """The world for a scanner."""
-
-    def scan(self) -> NDArray[np.uint16]:
-        """Convert all taxels at this moment; counts (n_taxels,)."""
-
-    def scan_gripping(self) -> NDArray[np.uint16]:
-        """Convert the taxels of the gripping pads; counts (n_taxels,), 0 on the other pads."""
-
-
 _MEAN_SCANS = 4
 """Scans in the running mean that decides about touch: 20 ms at 200 scans per second."""
 _KERNEL = (2.0, 1.0)
@@ -284,7 +274,9 @@ class PadForces:
 class Scanner:
     """Latches scans and turns them into messages."""
 
-    def __init__(self, world: ScannedWorld, layout: TaxelLayout, faults: ControlUnitFaults) -> None:
+    def __init__(
+        self, world: PhysicalWorld, layout: TaxelLayout, faults: ControlUnitFaults
+    ) -> None:
         self._world = world
         self._layout = layout
         self._faults = faults

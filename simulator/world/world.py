@@ -3,13 +3,13 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulator.clock import ROUNDING_S
 from simulator.errors import PartGripped, SimulatorSettingsError, SimulatorStateError
+from simulator.servo.mechanics import FingerMechanics
 from simulator.world.pads import (
     EQUATION_11,
     Foam,
@@ -32,22 +32,6 @@ NOTHING = "nothing"
 """Label for no object."""
 FINGERTIP_RADIUS_M = 5e-3
 """Radius in m of the contact patch of a person's fingertip."""
-
-
-class Fingers(Protocol):
-    """Mechanics that carry the pads."""
-
-    @property
-    def finger_position_m(self) -> tuple[float, float]:
-        """Half openings in m: distance of each undeformed pad from the centre plane."""
-
-    def step(
-        self,
-        dt_s: float,
-        contact_force_n: tuple[float, float],
-        contact_stiffness_n_m: tuple[float, float],
-    ) -> None:
-        """Move on by ``dt_s`` s under the forces in N that push the fingers open."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +69,7 @@ class PhysicalWorld:
     def __init__(
         self,
         layout: TaxelLayout,
-        fingers: Fingers,
+        fingers: FingerMechanics,
         settings: WorldSettings | None = None,
         *,
         start_s: float = 0.0,
