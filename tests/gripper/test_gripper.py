@@ -14,6 +14,7 @@ from gripper.dynamixel.protocol2 import CheckedPacketHandler
 from gripper.dynamixel.serial_port import SdkPort, open_line
 from gripper.errors import (
     GraspStopped,
+    GripperError,
     GripperStateError,
     LimitExceeded,
     PortLost,
@@ -107,6 +108,20 @@ def test_each_tick_controls_a_carried_part_until_its_grip_is_kept(cell, force_n:
     assert cell.gripper._servos.goals.last is kept
     assert cell.force_n == pytest.approx(force_n, abs=0.8)
     assert cell.gripper.release().opened == (1, 2)
+
+
+@pytest.mark.parametrize(("gain", "valid_s"), [(0.0, 1.0), (0.0, 0.015)])
+def test_pads_that_fail_as_a_carry_begins_let_nothing_go(make_cell, gain, valid_s) -> None:
+    cell = make_cell(rate_hz=200.0, noise_n=0.1)
+    cell.hold_part(RAMP)
+    cell.gripper.hold_at(4.0, 0.2)
+    cell.least_n, cell.sensor.gain = 99.0, gain
+    with suppress(GripperError):
+        ticks(cell, valid_s)
+        cell.sensor.valid = False
+        ticks(cell, 1.0)
+    assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
+    assert cell.least_n > 3.5
 
 
 def test_a_carried_part_that_grows_pushes_the_fingers_open_against_their_friction(cell) -> None:

@@ -70,17 +70,16 @@ class PadSamples:
         """Force in N above which the mean of frames shows a pad as loaded."""
         self._before_n: deque[tuple[float, float]] = deque()
 
-    def clear(self) -> None:
-        """Discard all samples."""
+    def resume(self) -> None:
+        """Discard the newest samples; the force before them counts until it is too old."""
         self.recent.clear()
-        self._before_n.clear()
 
     def take(self, sample: ForceSample) -> None:
         """Add a sample, which may be the same as before."""
+        while self._before_n and sample.t_s - self._before_n[0][0] > LOOK_BACK_S:
+            self._before_n.popleft()
         if self.recent.push(sample) is not None and self.recent.complete:
             self._before_n.append((sample.t_s, self.recent.grip_n))
-            while sample.t_s - self._before_n[0][0] > LOOK_BACK_S:
-                self._before_n.popleft()
 
     @property
     def loaded(self) -> bool:
@@ -213,7 +212,7 @@ class PartWatch:
 
     def resume(self) -> None:
         """Begin again after a pause: earlier values are discarded."""
-        self.pads.clear()
+        self.pads.resume()
         self._motions.clear()
         self._suspicion = None
         self._uneven_s = 0.0
