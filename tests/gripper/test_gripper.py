@@ -110,7 +110,7 @@ def test_each_tick_controls_a_carried_part_until_its_grip_is_kept(cell, force_n:
     assert cell.gripper.release().opened == (1, 2)
 
 
-@pytest.mark.parametrize(("gain", "valid_s"), [(0.0, 1.0), (0.0, 0.015)])
+@pytest.mark.parametrize(("gain", "valid_s"), [(0.0, 1.0), (0.0, 0.015), (0.3, 0.03)])
 def test_pads_that_fail_as_a_carry_begins_let_nothing_go(make_cell, gain, valid_s) -> None:
     cell = make_cell(rate_hz=200.0, noise_n=0.1)
     cell.hold_part(RAMP)

@@ -54,11 +54,17 @@ class DriveGoals:
         """Whether the fingers may open farther."""
         return self._stop_rad is None
 
-    def goals(self, state: ServoFeedback) -> tuple[ServoGoal, ...]:
-        """Return the goals that make the driving force of the grip."""
+    def goals(self, state: ServoFeedback, *, blind: bool = False) -> tuple[ServoGoal, ...]:
+        """Return the goals that make the driving force of the grip.
+
+        ``blind``: the pads report no valid force, and may have been wrong just before.
+        """
         grip = self._grip
         paths = grip.mechanics.transmissions(state.angles_rad)
         friction_n = mean_friction_n(paths)
+        if blind and self._balances_n:
+            before_n = self._balances_n.most(since_s=state.t_s - LOOK_BACK_S)
+            grip.drive_n = grip.balance_n = max(grip.balance_n, before_n)
         self._limit(state, paths, friction_n)
         goals = []
         self._deepest_rad = tuple(map(min, self._deepest_rad, state.angles_rad))
@@ -240,7 +246,8 @@ class GripControl:
             carried=carried,
         )
         grip.drive_n = self._law.step(period)
-        return self._goals.goals(state)
+        blind = moment.sample is not None and not moment.sample.valid
+        return self._goals.goals(state, blind=blind)
 
     def quiet_goals(self, moment: Moment) -> tuple[ServoGoal, ...]:
         """Return goals that keep the last balancing drive, without a push."""
