@@ -5,6 +5,7 @@ The control table of each servo is kept in a backup, which can be restored.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ from gripper.dynamixel.bus import ANSWERS_ALL, HIGHEST_ID, ServoBus, ServoIdenti
 from gripper.dynamixel.control_table import (
     BAUD_CODES,
     BAUD_RATE,
+    HARDWARE_ERROR_STATUS,
     MODEL_NUMBER,
     REGISTERS,
     SERVO_ID,
@@ -43,6 +45,12 @@ _RATES = {code: rate for rate, code in BAUD_CODES.items()}
 """Baud rate in bit/s by its raw value."""
 _ADDRESS = (BAUD_RATE.name, SERVO_ID.name)
 """Items that a restore leaves: new servos share an ID, and would disturb each other again."""
+_SETTINGS = tuple(
+    r.name for r in REGISTERS.values() if r.eeprom or r.writable or r is HARDWARE_ERROR_STATUS
+)
+"""Items that stay the same while nothing is written to a servo at rest."""
+_READINGS = 4
+"""Most readings of a control table, of which two in a row must agree."""
 SETTLE_S = 0.1
 """Time in s between a change of ID or baud rate and the next request."""
 _VOLTAGE_MARGIN = 1.05
@@ -85,7 +93,7 @@ def scan_servos(bench: Bench, port: str, dialog: Dialog, rates: Sequence[int] = 
             if has_damaged:
                 # A single one may be chance.
                 identities, has_damaged = bus.scan_at_once()
-            for identity in identities:
+            for identity in dict.fromkeys(identities):  # an answer may come twice
                 servo = ServoAnswer(rate, identity)
                 (shared if bus.shares_id(identity.servo_id) else servos).append(servo)
             if has_damaged:
@@ -393,7 +401,22 @@ def register_writes(
 
 
 def read_control_table(bus: ServoBus, servo_id: int) -> dict[str, int]:
-    """Return the raw values of all items that a servo has, by name."""
+    """Return the raw values of all items that a servo has, by name.
+
+    Two readings must have the same settings: where an answer comes twice, each later one is that
+    to the request before. Raises CellError if no two do.
+    """
+    readings = (_read_once(bus, servo_id) for _ in range(_READINGS))
+    for before, table in pairwise(readings):
+        if all(before.get(name) == table.get(name) for name in _SETTINGS):
+            return table
+    raise CellError(
+        f"servo {servo_id} reads otherwise each time: check cable and adapter, and that no other "
+        "program uses the port"
+    )
+
+
+def _read_once(bus: ServoBus, servo_id: int) -> dict[str, int]:
     table = {}
     bus.ping(servo_id)  # the bus keeps its control table
     for register in REGISTERS.values():

@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import count
 from math import asin, radians, sin
 from pathlib import Path
 from statistics import median
@@ -37,7 +38,7 @@ from cell.commissioning.pads import (
     judge_rest,
     table_parts,
 )
-from cell.commissioning.servos import SERVOS, backup_file, restore
+from cell.commissioning.servos import SERVOS, backup_file, read_backup, restore
 from cell.commissioning.unit import UNIT
 from cell.commissioning.walk import all_steps
 from cell.config.file import changed_config, config_text, load_config
@@ -48,6 +49,7 @@ from cell.errors import CellError, ConfigError
 from cell.files import COMMISSIONING, SERVO_BACKUP, SERVO_BENCH, write_json
 from cell.interfaces.cli.app import app
 from cell.simulation import simulator_settings
+from gripper.dynamixel.models import XM430_W350
 from gripper.errors import GripperError, PortLost
 from gripper.servos.goal_limits import GoalWriter
 from gripper.settings import largest_setpoint_n
@@ -55,6 +57,7 @@ from simulator.can.control_unit import ControlUnitSettings
 from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
 from simulator.devices import SimulatedDrive
+from simulator.servo.faults import WireFaults
 from simulator.servo.mechanics import RackLinkage, ServoMount
 from simulator.settings import SimulatedServoSettings
 from simulator.world.pads import SensorLaw
@@ -109,6 +112,21 @@ def test_factory_new_servos_are_numbered_one_at_a_time(new, tmp_path) -> None:
         backup = json.loads((tmp_path / f"backup-servo{number}.json").read_text())
         assert (backup["registers"]["id"], backup["registers"]["baud_rate"]) == (1, 1)
         assert backup["registers"]["return_delay_time"] == 250
+
+
+@pytest.mark.parametrize("number", [1, 18, 39])
+def test_one_answer_that_comes_twice_changes_no_backup(
+    stand, tmp_path, monkeypatch, number
+) -> None:
+    once, answers = WireFaults.answer, count(1)
+
+    def twice(self: WireFaults, *answer: Any) -> list[tuple[float, bytes]]:
+        return once(self, *answer) + [(5e-4, answer[1])] * (next(answers) == number)
+
+    monkeypatch.setattr(WireFaults, "answer", twice)
+    stand.passes(SERVOS)
+    kept = read_backup(backup_file(tmp_path, 1))
+    assert (kept["return_delay_time"], kept["shutdown"]) == (0, XM430_W350.shutdown_raw)
 
 
 @pytest.mark.parametrize(
