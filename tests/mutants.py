@@ -49,8 +49,7 @@ def draw(n: int, seed: int) -> list[dict[str, Any]]:
     for path in sorted(file for folder in FOLDERS for file in (ROOT / folder).rglob("*.py")):
         tree = parse(path.read_text(encoding="utf-8"))
         for name in OPERATORS:
-            operator = get_operator(f"core/{name}")()
-            visitor = MutationVisitor(-1, operator)
+            visitor = MutationVisitor(-1, get_operator(f"core/{name}")())
             visitor.walk(tree)
             places += [(path, name, occurrence) for occurrence in range(visitor._count)]
     mutants: list[dict[str, Any]] = []
@@ -137,8 +136,7 @@ def main() -> None:
         ignored = shutil.ignore_patterns(".venv", ".git", "out", ".*_cache")
         shutil.copytree(ROOT, copy, ignore=ignored)
         for mutant in mutants:
-            tests = tests_of(mutant, times_s)
-            mutant["verdict"] = verdict(mutant, tests, given.limit, copy)
+            mutant["verdict"] = verdict(mutant, tests_of(mutant, times_s), given.limit, copy)
             print(f"{mutant['file']}:{mutant['line']} {mutant['operator']}: {mutant['verdict']}")
             print(f"    {mutant['old']}  ->  {mutant['new']}", flush=True)
             given.file.write_text(json.dumps(mutants, indent=1), encoding="utf-8")

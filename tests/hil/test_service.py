@@ -52,8 +52,7 @@ def service(
     install = (*PROGRAM, "service", "install", "--apply", "--root", folder,
                "-c", simulator.config_path, "--model", taught.result.model)  # fmt: skip
     subprocess.run(install, input="n\nn\ny\n", text=True, check=True, stdout=subprocess.DEVNULL)
-    unit = folder / "etc/systemd/system/tactile-cell.service"
-    supervisor = Supervisor(unit, folder / "notify")
+    supervisor = Supervisor(folder / "etc/systemd/system/tactile-cell.service", folder / "notify")
     supervisor.start()
     until(lambda: "READY=1" in supervisor.sent)
     yield supervisor

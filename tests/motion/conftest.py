@@ -76,8 +76,7 @@ class DriveBench:
 
     def second_drive(self) -> Callable[[], None]:
         """Let a drive with the same node-ID join the bus; returns what takes it off again."""
-        now_s = self.clock.monotonic()
-        return self.link.add(SimulatedDrive(self.simulated.mount, start_s=now_s))
+        return self.link.add(SimulatedDrive(self.simulated.mount, start_s=self.clock.monotonic()))
 
     def once_moving(self, act: Callable[[], Any]) -> None:
         """Do something once, 20 ms after the axis began to move."""

@@ -45,8 +45,7 @@ def test_a_square_board_may_sit_either_way() -> None:
             source = make_source(cell, profile=profile, layout=layout, rows_along=rows_along)
             source.start()
             cell.world.press(0, 0.01, -0.004, 5.0)  # type: ignore[union-attr]
-            frame = run(cell, source, 0.2)[-1]
-            place_m = layout.taxel_xy_m[int(np.argmax(frame.counts))]
+            place_m = layout.taxel_xy_m[int(np.argmax(run(cell, source, 0.2)[-1].counts))]
             assert place_m == pytest.approx((0.01, -0.004), abs=0.002)
 
 

@@ -109,8 +109,7 @@ def test_a_part_that_is_lost_as_its_ramp_ends_is_lost(make_started) -> None:
         cell.gripper.end_ramp()
         cell.part.present = False
 
-    outcome = cell.gripper.grasp(LINEAR, cell.once(drop, at_n=4.0))
-    assert outcome.result is GraspResult.PART_LOST
+    assert cell.gripper.grasp(LINEAR, cell.once(drop, at_n=4.0)).result is GraspResult.PART_LOST
     assert cell.gripper.phase is GripperPhase.IDLE
 
 

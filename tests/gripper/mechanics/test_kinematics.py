@@ -66,8 +66,7 @@ def test_a_force_falls_at_one_drive_and_is_0_at_the_friction(force_n: float, sha
         drive_n = -(1.0 - part) * path.friction_n
         assert path.yielding_n(part * held_n) == pytest.approx(drive_n), "held by the gearing alone"
     falls_a = 0.3 * 0.05 * (held_n + force_n) - share * 0.1
-    falls_n = falls_a * path.n_per_a
-    assert path.yielding_n(held_n + force_n) == pytest.approx(falls_n, abs=1e-9)
+    assert path.yielding_n(held_n + force_n) == pytest.approx(falls_a * path.n_per_a, abs=1e-9)
 
 
 @pytest.mark.parametrize(

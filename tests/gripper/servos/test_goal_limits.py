@@ -75,8 +75,7 @@ FRICTION_N, ONE_N_A = 1.5, 0.06 / 1.80
 def standing(velocity_rad_s: float, motor_rad_s: float = 0.0) -> ServoFeedback:
     servo = make_servo(angle_rad=0.1, velocity_rad_s=velocity_rad_s, next_rad_s=velocity_rad_s)
     servo = replace(servo, motor_rad_s=motor_rad_s)
-    servos = (servo,) * 2
-    return make_state(servos=tuple(replace(s, servo_id=i) for i, s in enumerate(servos, 1)))
+    return make_state(servos=tuple(replace(s, servo_id=i) for i, s in enumerate((servo,) * 2, 1)))
 
 
 GOOD = ServoGoal(angle_rad=0.09, current_a=0.2)

@@ -51,8 +51,7 @@ def test_old_goals_do_not_act_where_the_new_ones_are_lost(tripped, monkeypatch) 
 
 
 def test_goals_that_were_lost_once_are_written_again(tripped, monkeypatch) -> None:
-    first_is_lost = chain([None], repeat(DEFAULT))
-    writes = Mock(wraps=tripped.bus.sync_write, side_effect=first_is_lost)
+    writes = Mock(wraps=tripped.bus.sync_write, side_effect=chain([None], repeat(DEFAULT)))
     monkeypatch.setattr(tripped.bus, "sync_write", writes)
     tripped.gripper.release()
     assert writes.called

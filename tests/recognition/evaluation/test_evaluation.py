@@ -117,8 +117,7 @@ def test_an_interval_by_objects_is_wider_where_grasps_of_an_object_agree():
 
 def test_each_group_is_left_out_in_turn_without_what_nothing_else_teaches():
     grasps = [plain_grasp(name) for name in ["ball"] * 6 + ["box"] * 6 + ["cup"] * 2]
-    groups = ["a"] * 3 + ["b"] * 3 + ["a"] * 3 + ["b"] * 3 + ["b"] * 2
-    parts = left_out_parts(grasps, groups)
+    parts = left_out_parts(grasps, ["a"] * 3 + ["b"] * 3 + ["a"] * 3 + ["b"] * 3 + ["b"] * 2)
     assert [(len(taught), len(test)) for taught, test in parts] == [(6, 6), (6, 6)]
     assert {g.label for part in parts for some in part for g in some} == {"ball", "box"}
     with pytest.raises(ValueError, match="none can be left out"):

@@ -24,8 +24,7 @@ PADS = PadArray.grid(2, 2, 3e-3)
 
 
 def counts_of(value: float) -> np.ndarray:
-    counts = np.full((3, 8), value)
-    return Grasp(pads=PADS, counts=counts, t_s=np.arange(3.0)).counts
+    return Grasp(pads=PADS, counts=np.full((3, 8), value), t_s=np.arange(3.0)).counts
 
 
 def test_counts_of_one_pad_alone_are_refused_with_the_pads_that_they_lack() -> None:
@@ -224,8 +223,7 @@ def test_one_pad_has_no_other_to_compare_with():
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 6), (2, 1), (2, 2), (6, 2)])
 def test_pads_of_one_or_two_rows_have_every_feature(shape):
-    pads = make_pads(shapes=(shape, shape))
-    grasps = make_grasps(3, seed=1, pads=pads, objects=OBJECTS[:2])
+    grasps = make_grasps(3, seed=1, pads=make_pads(shapes=(shape, shape)), objects=OBJECTS[:2])
     rest = learn_rest(grasps)
     levels = load_levels(grasps, rest)
     for opening in (True, False):

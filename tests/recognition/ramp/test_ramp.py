@@ -25,8 +25,7 @@ def rest(train) -> Rest:
 
 def test_the_pads_that_rise_are_the_gripping_ones():
     pads = make_pads(shapes=((4, 4), (10, 6), (6, 2), (10, 6)), adc_max=255)
-    grasps = make_grasps(3, seed=3, pads=pads, gripping=(1, 3), noise_counts=16.0)
-    rest = learn_rest(grasps)
+    rest = learn_rest(make_grasps(3, seed=3, pads=pads, gripping=(1, 3), noise_counts=16.0))
     assert rest.gripping == (1, 3)
     assert rest.noise_counts == pytest.approx([4.5, 4.5], abs=1.5)
 

@@ -80,8 +80,7 @@ def test_a_grasp_without_contact_is_unknown(taught, fresh):
 )
 def test_short_grasps_get_an_answer(taught, fresh, frames):
     for grasp in fresh[::5]:
-        answer = taught.posterior(part(grasp, frames))
-        assert answer.probability.sum() == pytest.approx(1.0)
+        assert taught.posterior(part(grasp, frames)).probability.sum() == pytest.approx(1.0)
 
 
 def test_odd_frames_get_an_answer(taught, fresh):

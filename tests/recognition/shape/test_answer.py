@@ -351,8 +351,7 @@ def test_the_interval_holds_the_size_as_often_as_it_says(pads: PadArray) -> None
     for seed in range(24):
         size_mm = float(rng.uniform(6.0, 14.0))
         offset_m = float(rng.normal(0.0, 0.2e-3))
-        grasp = pressed(pads, Body("sphere", size_mm), seed=seed, offset_m=offset_m)
-        answer = shape_of(grasp)
+        answer = shape_of(pressed(pads, Body("sphere", size_mm), seed=seed, offset_m=offset_m))
         held += answer.low_m <= 1e-3 * size_mm <= answer.high_m
     # 90 % of 24: fewer than 18 come by chance once in a thousand times
     assert held >= 18
@@ -391,8 +390,7 @@ def test_an_untouched_pad_tells_nothing(pads: PadArray) -> None:
     ],
 )
 def test_pads_that_show_no_shape_are_refused(shapes, why) -> None:
-    pads = make_pads(shapes=shapes)
-    grasp = make_grasp(OBJECTS[0], np.random.default_rng(0), pads=pads)
+    grasp = make_grasp(OBJECTS[0], np.random.default_rng(0), pads=make_pads(shapes=shapes))
     with pytest.raises(ContactError, match=why):
         shape_of(grasp)
 

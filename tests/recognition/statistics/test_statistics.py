@@ -47,8 +47,7 @@ def test_distances_are_in_standard_deviations():
     own = distances(lda, x)[np.arange(len(y)), y]
     assert lda.centres.shape == (3, 2)
     assert own.mean() == pytest.approx(2.0, rel=0.05)
-    apart = ((lda.centres[0] - lda.centres[1]) ** 2).sum()
-    assert apart == pytest.approx(2 * 25.0, rel=0.1)
+    assert ((lda.centres[0] - lda.centres[1]) ** 2).sum() == pytest.approx(2 * 25.0, rel=0.1)
 
 
 def test_scale_and_offset_of_a_feature_do_not_matter():
@@ -90,8 +89,7 @@ def test_full_shrinkage_leaves_plain_scaled_distance():
     lda = fit_lda(x, y, 3, min_shrinkage=1.0)
     means = np.stack([x[y == k].mean(axis=0) for k in range(3)])
     scaled = (((means[0] - means[1]) / lda.scale) ** 2).sum()
-    distance = ((lda.centres[0] - lda.centres[1]) ** 2).sum()
-    assert distance == pytest.approx(scaled, rel=0.02)
+    assert ((lda.centres[0] - lda.centres[1]) ** 2).sum() == pytest.approx(scaled, rel=0.02)
 
 
 def test_what_no_class_has_shown_lies_beside_them_all():
@@ -146,8 +144,7 @@ def test_a_feature_with_a_small_target_outweighs_many_that_repeat_each_other():
     classes = np.repeat([0, 1], 5)
     repeated = rng.normal(0, 1, (10, 1)) + rng.normal(0, 0.3, (10, 60))
     x = np.column_stack([repeated, rng.normal(0, 1, 10) + 4.0 * classes])
-    target = np.append(np.ones(60), 0.1)
-    fits = [fit_lda(x, classes, 2, target=t) for t in (None, target)]
+    fits = [fit_lda(x, classes, 2, target=t) for t in (None, np.append(np.ones(60), 0.1))]
     axes = [lda.projection[:, 0] / lda.scale for lda in fits]
     plain, weighted = (abs(axis[-1]) / np.linalg.norm(axis) for axis in axes)
     assert weighted > 1.1 * plain

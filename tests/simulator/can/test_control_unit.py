@@ -290,8 +290,7 @@ def test_the_sum_is_the_force_though_the_counts_are_not_linear(layout, calibrati
     measured = unit.press(pressed, scans=20)
     assert measured.status == ScanStatus.ZEROED
     assert measured.force_n == pytest.approx((3.0, 3.0), abs=0.06)
-    rows = layout.pads[layout.gripping_pads[0]].rows
-    along = 5 - 0.5 * (rows - 1)
+    along = 5 - 0.5 * (layout.pads[layout.gripping_pads[0]].rows - 1)
     across = (1.0 * 4.5 + 2.0 * 1.5) / 6.0 - 0.5 * (columns - 1)
     assert measured.centre_taxels == pytest.approx((along, across), abs=0.08)
 

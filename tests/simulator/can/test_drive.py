@@ -130,5 +130,4 @@ def test_a_node_that_is_stopped_on_its_way_brakes_where_6007h_asks_for_it(bench,
     sdo = enabled(bench.witness)
     sdo["Abort connection option code"].raw = option
     bench.witness.nmt.send_command(2)
-    braked = option == od.STOP_WHEN_HOST_IS_LOST
-    assert (bench.device.state == "QUICK STOP ACTIVE") is braked
+    assert (bench.device.state == "QUICK STOP ACTIVE") is (option == od.STOP_WHEN_HOST_IS_LOST)

@@ -23,8 +23,7 @@ from tactile.layout import pinch_layout
 @pytest.fixture
 def cell() -> Iterator[SimulatedCell]:
     drive = DriveMount(node_id=11, increments=1e6, start=0.0, low_switch=-0.1, high_switch=0.1)
-    wrist = WristMount(increments=652.0, servo_id=1, zero=0, start=1.0)
-    axes = {"x": drive, "roll": wrist}
+    axes = {"x": drive, "roll": WristMount(increments=652.0, servo_id=1, zero=0, start=1.0)}
     boards = FlexiTacSettings(rows=6, columns=13)
     with SimulatedCell(SimulatorSettings(layout=pinch_layout(), axes=axes, boards=boards)) as made:
         yield made

@@ -367,8 +367,7 @@ def test_current_velocity_and_pwm_modes(mode, quantity, goal):
 @pytest.mark.parametrize(("mode", "quantity", "limit"), [(0, "current", 90), (16, "pwm", 300)])
 def test_a_limit_lowered_afterwards_bounds_the_goal(mode, quantity, limit):
     pressing = ServoBench(settings={"operating_mode": mode})
-    names = {f"goal_{quantity}": -700, f"{quantity}_limit": limit}
-    pressing.put(1, **names, torque_enable=1)
+    pressing.put(1, **{f"goal_{quantity}": -700, f"{quantity}_limit": limit}, torque_enable=1)
     pressing.clock.sleep(0.05)
     assert pressing.get(1, f"present_{quantity}") == pytest.approx(-limit, abs=2)
 

@@ -112,8 +112,7 @@ def test_a_centre_of_messages_that_is_noisier_than_stated_is_no_slide(frame_s) -
         )
         for i in range(4000)
     )
-    slides = any(slips(watch, sample, setpoint_n=5.0) for sample in samples)
-    assert slides is (frame_s is None)
+    assert any(slips(watch, sample, setpoint_n=5.0) for sample in samples) is (frame_s is None)
 
 
 def test_a_slow_slide_is_reported_at_the_largest_way_that_is_allowed() -> None:
