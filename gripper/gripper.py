@@ -90,7 +90,7 @@ class Gripper:
         self._servos = servos = Servos(bus, mechanics, clock)
         self._sensor = force_sensor
         self._life = life = Lifecycle(servos, force_sensor, clock)
-        self._runner = runner = LoopRunner(servos, force_sensor, clock, life.state)
+        self._runner = runner = LoopRunner(servos, force_sensor, clock, life)
         self._free = FreeMotion(runner)
         self._grasping = GraspRun(runner, life.set_phase, self._free)
         self._link_checked = self._watchdog_proven = False
@@ -353,7 +353,7 @@ class Gripper:
         with self._command("hold_at", observer):
             if force_n != control.grip.setpoint_n:
                 state = self._runner.run(GripStep(self.settings, control, ramp).step)
-            self._life.state.phase = GripperPhase.HOLDING
+            self._life.phase = GripperPhase.HOLDING
             if duration_s > 0.0 or force_n == control.grip.setpoint_n:
                 hold_s = max(duration_s, self.settings.period_s)
                 state = self._runner.run(HoldStep(self.settings, control, hold_s).step)
@@ -518,7 +518,7 @@ class Gripper:
 
         The goals of a grip are frozen; moving fingers stop.
         """
-        self._life.state.stop_request.set()
+        self._life.stop_request.set()
         if (finger := self._finger) is not None:
             finger.request_stop()
 
@@ -721,7 +721,7 @@ class Gripper:
         )
         finger._link_checked = self._link_checked
         self._servos.forget()
-        self._life.state.phase, self._life.running = GripperPhase.RELEASING, True
+        self._life.phase, self._life.running = GripperPhase.RELEASING, True
         try:
             state = finger.release(observer).state
             with suppress(errors.GripperError):

@@ -1,5 +1,6 @@
 """Lifecycle of the gripper: allowed commands of each phase, and the response to a fault."""
 
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from enum import StrEnum
@@ -11,7 +12,6 @@ from typing import NamedTuple
 from gripper import errors
 from gripper.clock import Clock
 from gripper.dynamixel.drive import SIGMAS
-from gripper.force.loop import CommandState
 from gripper.mechanics.impact import most_peak_n
 from gripper.mechanics.transmission import mean_yielding_n
 from gripper.servos.goal_limits import standing
@@ -94,8 +94,12 @@ class Lifecycle:
     """
 
     def __init__(self, servos: Servos, sensor: ForceSensor, clock: Clock) -> None:
-        self.state = CommandState()
-        """Phase, observer and stop request of the running command, for the loop."""
+        self.phase = GripperPhase.OFF
+        """Phase of the gripper."""
+        self.observer: Observer | None = None
+        """Called once a period of the running command; None without one."""
+        self.stop_request = threading.Event()
+        """Set from any thread to stop the running command with GraspStopped."""
         self.part_possible = False
         """True from the start of an approach until the end of a release, or until nothing is found.
         """
@@ -109,24 +113,19 @@ class Lifecycle:
         """True after a fault in a motion that only a servo's bus watchdog ends."""
         self._servos, self._sensor, self._clock = servos, sensor, clock
 
-    @property
-    def phase(self) -> GripperPhase:
-        """Phase of the gripper."""
-        return self.state.phase
-
     def set_phase(self, phase: GripperPhase) -> None:
         """Set the phase; from the ramp on the force can be controlled."""
-        self.state.phase = phase
+        self.phase = phase
         self.controlled = phase is GripperPhase.RAMPING
 
     def rest(self) -> None:
         """Set the phase after a command, or for frozen goals: it depends on the part."""
         if self.fault is not None or (self.part_possible and not self.controlled):
-            self.state.phase = GripperPhase.HELD_AFTER_FAULT
+            self.phase = GripperPhase.HELD_AFTER_FAULT
         elif self.part_possible:
-            self.state.phase = GripperPhase.HOLDING
+            self.phase = GripperPhase.HOLDING
         else:
-            self.state.phase = GripperPhase.IDLE
+            self.phase = GripperPhase.IDLE
 
     def torque_from_before(self) -> None:
         """Set the phase for torque from before the start: a part may be held, force unknown."""
@@ -138,7 +137,7 @@ class Lifecycle:
         self._servos.forget()
         self.part_possible = False
         self.controlled = False
-        self.state.phase = GripperPhase.OFF
+        self.phase = GripperPhase.OFF
 
     def check_ready(self, command: str) -> None:
         """Raise GripperStateError when a command is not possible now; see `COMMANDS`."""
@@ -150,18 +149,18 @@ class Lifecycle:
                 f"clear_fault first"
             )
         phases = COMMANDS[command].phases
-        if phases and self.state.phase not in phases:
+        if phases and self.phase not in phases:
             hint = ": release the part first" if self.part_possible else ""
             raise errors.GripperStateError(
-                f"{command} is not possible in the state {self.state.phase.name}{hint}"
+                f"{command} is not possible in the state {self.phase.name}{hint}"
             )
 
     @contextmanager
     def command(self, command: str, observer: Observer | None) -> Iterator[None]:
         """Run one command in its phase; a stop freezes the goals, or stops moving fingers."""
-        self.state.stop_request.clear()
-        self.state.phase = COMMANDS[command].running
-        self.state.observer = observer
+        self.stop_request.clear()
+        self.phase = COMMANDS[command].running
+        self.observer = observer
         self.running = True
         try:
             yield
@@ -173,7 +172,7 @@ class Lifecycle:
             raise
         finally:
             self.running = False
-            self.state.observer = None
+            self.observer = None
             self.rest()
 
     def take_over(self, carrier: "Lifecycle") -> None:
@@ -185,7 +184,7 @@ class Lifecycle:
         """Latch an error as a fault, and keep the grip."""
         self.fault = error
         self.part_possible |= isinstance(error, errors.FingerBlocked)
-        phase, self.state.phase = self.state.phase, GripperPhase.HELD_AFTER_FAULT
+        phase, self.phase = self.phase, GripperPhase.HELD_AFTER_FAULT
         left = FingersLeft.UNCONFIRMED
         # The raised error names the cause; a bus that fails again adds nothing.
         with suppress(errors.GripperError):
@@ -194,17 +193,17 @@ class Lifecycle:
         self.motion_unconfirmed = phase.moving and left is FingersLeft.UNCONFIRMED
 
     def _stop(self, stop: errors.GraspStopped) -> None:
-        if not self.state.phase.moving:
+        if not self.phase.moving:
             with suppress(errors.GripperError):
                 self._servos.freeze()
             return
         with self._servos.in_loop():
             unconfirmed = self._servos.stop_motion()
         if not unconfirmed:
-            self._note_fingers(stop, self.state.phase, FingersLeft.STOPPED)
+            self._note_fingers(stop, self.phase, FingersLeft.STOPPED)
             return
         error = errors.ServoFault(unconfirmed[0], "it did not take the goal to stand still")
-        self._note_fingers(error, self.state.phase, FingersLeft.UNCONFIRMED)
+        self._note_fingers(error, self.phase, FingersLeft.UNCONFIRMED)
         self.fault, self.motion_unconfirmed = error, True
         raise error from stop
 

@@ -1,18 +1,18 @@
 """The force loop: each period feedback and force in, one step of control, goals out."""
 
-import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from gripper import errors
 from gripper.clock import Clock
 from gripper.force.certainty import YOUNG_S
 from gripper.force.timing import LoopTimer
+from gripper.lifecycle import Lifecycle
 from gripper.servos.bus_loss import BusLossMonitor
 from gripper.servos.goal_limits import ServoGoal
 from gripper.servos.group import Servos
 from gripper.values.force_sensor import ForceSample, ForceSensor
-from gripper.values.state import Cycle, GripperPhase, Observer, ServoFeedback
+from gripper.values.state import Cycle, ServoFeedback
 
 _HEALTH_EVERY = 4
 """Periods between two health checks: each takes a transaction of the period. [chosen]"""
@@ -59,17 +59,6 @@ Step = Callable[[Moment], Action]
 
 
 @dataclass(slots=True, kw_only=True)
-class CommandState:
-    """State of the commands of a gripper: it writes this state, its loop reads it."""
-
-    phase: GripperPhase = GripperPhase.OFF
-    observer: Observer | None = None
-    """Called once a period of the running command; None without one."""
-    stop_request: threading.Event = field(default_factory=threading.Event)
-    """Set from any thread to stop the running command with GraspStopped."""
-
-
-@dataclass(slots=True, kw_only=True)
 class Running:
     """State of the control step that runs now."""
 
@@ -91,18 +80,16 @@ class LoopRunner:
 
     Parameters
     ----------
-    servos, sensor, clock, command
+    servos, sensor, clock, life
         Of the gripper.
     """
 
-    def __init__(
-        self, servos: Servos, sensor: ForceSensor, clock: Clock, command: CommandState
-    ) -> None:
+    def __init__(self, servos: Servos, sensor: ForceSensor, clock: Clock, life: Lifecycle) -> None:
         self.servos = servos
         self._sensor = sensor
         self._settings = servos.settings
         self._clock = clock
-        self._command = command
+        self._life = life
         self.timer = LoopTimer(self._settings.period_s)
         """Timing since the runner was made."""
         self._due_s = clock.monotonic()
@@ -155,12 +142,12 @@ class LoopRunner:
             deadline_s = self._due_s
         running = self.start_command(step, needs_force=needs_force, now_s=deadline_s)
         while True:
-            if self._command.stop_request.is_set():
+            if self._life.stop_request.is_set():
                 raise errors.GraspStopped("stopped on request")
             cycle = self.period(running)
             deadline_s += self._settings.period_s
-            if cycle is not None and self._command.observer is not None:
-                self._command.observer(cycle)
+            if cycle is not None and self._life.observer is not None:
+                self._life.observer(cycle)
             if cycle is not None and running.done:
                 self._due_s = deadline_s
                 return cycle.state
@@ -194,7 +181,7 @@ class LoopRunner:
         with self.servos.in_loop():
             state = self.read()
             if state is None:
-                self._bus_loss.stop_fingers(self._command.phase)
+                self._bus_loss.stop_fingers(self._life.phase)
         # Pads and CAN are supervised in each period, also without answers of the servos.
         sample = self._sensor.latest_force()
         self.servos.goals.note_force(sample)
@@ -233,7 +220,7 @@ class LoopRunner:
         running.done = action.done
         return Cycle(
             t_s=state.t_s,
-            phase=self._command.phase,
+            phase=self._life.phase,
             state=state,
             force=sample,
             setpoint_n=action.setpoint_n,
