@@ -45,10 +45,12 @@ _RATES = {code: rate for rate, code in BAUD_CODES.items()}
 """Baud rate in bit/s by its raw value."""
 _ADDRESS = (BAUD_RATE.name, SERVO_ID.name)
 """Items that a restore leaves: new servos share an ID, and would disturb each other again."""
-_SETTINGS = tuple(
-    r.name for r in REGISTERS.values() if r.eeprom or r.writable or r is HARDWARE_ERROR_STATUS
+_LASTING = tuple(
+    register.name
+    for register in REGISTERS.values()
+    if register.eeprom or register in (TORQUE_ENABLE, HARDWARE_ERROR_STATUS)
 )
-"""Items that stay the same while nothing is written to a servo at rest."""
+"""Items that stay the same while nothing is written to a servo."""
 _READINGS = 4
 """Most readings of a control table, of which two in a row must agree."""
 SETTLE_S = 0.1
@@ -403,12 +405,12 @@ def register_writes(
 def read_control_table(bus: ServoBus, servo_id: int) -> dict[str, int]:
     """Return the raw values of all items that a servo has, by name.
 
-    Two readings must have the same settings: where an answer comes twice, each later one is that
-    to the request before. Raises CellError if no two do.
+    Two readings in a row must agree in what lasts: where an answer comes twice, each later one is
+    that to the request before. Raises CellError if no two do.
     """
     readings = (_read_once(bus, servo_id) for _ in range(_READINGS))
     for before, table in pairwise(readings):
-        if all(before.get(name) == table.get(name) for name in _SETTINGS):
+        if all(before.get(name) == table.get(name) for name in _LASTING):
             return table
     raise CellError(
         f"servo {servo_id} reads otherwise each time: check cable and adapter, and that no other "
