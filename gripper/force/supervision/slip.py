@@ -192,8 +192,13 @@ class SlideWatch:
             self._first = _Centre.of(before, scatter=True)
         now, slide_m = _Centre.of(recent), self._settings.slide_m
         # After a gap of the samples there is only the first centre.
-        along_m = now.beyond_m(self._first, slide_m)
+        sudden_m = 0.0
         if before:
             earlier = _Centre.of(before, scatter=True)
-            along_m = max(along_m, now.beyond_m(earlier, min(CREEP_M, slide_m)))
-        return f"it has slid along the pads by {1e3 * along_m:.2f} mm" if along_m > 0.0 else None
+            sudden_m = now.beyond_m(earlier, min(CREEP_M, slide_m))
+        along_m = max(now.beyond_m(self._first, slide_m), sudden_m)
+        if not along_m:
+            return None
+        # Counts added to all taxels move the centre of the force towards the middle of the pads.
+        doubt = "" if sudden_m else ", unless the zero of the pads drifts"
+        return f"it has slid along the pads by {1e3 * along_m:.2f} mm{doubt}"
