@@ -509,9 +509,15 @@ class Tasks:
                     job=report.number, task=goal.task, label=label, n_grasps=n_grasps, in_grip=True
                 )
             )
-            part = self.parts.add(identification, remark, **self._brought(answer.targets, label))
-            answer.add(part)
-            progress(part=part)
+            brought = self._brought(answer.targets, label)
+            try:
+                self.controller.put_down()
+            finally:
+                # A zero that has drifted is found after the part was let go.
+                if not self.controller.life.holding:
+                    part = self.parts.add(identification, remark, **brought)
+                    answer.add(part)
+                    progress(part=part)
         return answer
 
     def places(self) -> Places:
@@ -527,14 +533,13 @@ class Tasks:
         return Places(self.model.config, self.model.labels)
 
     def _brought(self, places: Places, label: str) -> dict[str, Any]:
-        """Bring the kept part to its place and let it go; return what became of it."""
+        """Bring the kept part to its place; return what becomes of it there."""
         controller, destination = self.controller, places.of(label)
         controller.moves.carry_to(destination)
         check = controller.kept_part.verify()
         if not check.same and destination.place != places.reject.place:
             destination = places.reject
             controller.moves.carry_to(destination)
-        controller.put_down()
         return {
             "place": destination.place,
             "place_id": places.names.index(destination.place) + 1,

@@ -410,8 +410,7 @@ def test_unknown_is_the_right_answer_to_an_object_that_was_never_taught(tmp_path
 
 def test_a_data_set_names_the_grasps_of_a_recording_and_one_program_adds(tmp_path: Path) -> None:
     target, rng = str(tmp_path / "archive"), np.random.default_rng(5)
-    grasp = ramp("ball", rng)
-    record(tmp_path / "recording.mcap", [replace(grasp, label="")], answers=[UNKNOWN])
+    record(tmp_path / "recording.mcap", [replace(ramp("ball", rng), label="")], answers=[UNKNOWN])
     (recorded,) = recording_grasps(tmp_path / "recording.mcap")
     write_dataset(tmp_path / "named.npz", [replace(recorded, label="nut", series="monday")])
     add(target, sources([tmp_path]))

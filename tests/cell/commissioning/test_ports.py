@@ -101,8 +101,7 @@ def test_an_adapter_is_named_by_its_own_serial_number_or_else_by_its_socket(
 ) -> None:
     dev = machine / "dev"
     common = {"ID_VENDOR_ID": "0403", "ID_MODEL_ID": "6010", "ID_USB_INTERFACE_NUM": number}
-    properties = usb_identity(str(dev / port))
-    assert properties == (None if identity is None else common | identity)
+    assert usb_identity(str(dev / port)) == (None if identity is None else common | identity)
     assert lasting_name(str(dev / port)) == str(dev / name)
 
 

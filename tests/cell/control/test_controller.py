@@ -253,8 +253,7 @@ def test_an_interrupt_stops_each_motion_within_two_periods(bench, motion, phase,
     at_s = bench.once_in(phase, bench.life.interrupt, after_s)
     with pytest.raises(CellStopped, match="no part was gripped" if motion == "start" else None):
         MOTIONS[motion](bench)
-    period_s = bench.controller.hand.period_s
-    assert bench.clock.monotonic() - at_s[0] <= 2.0 * period_s + 1e-6
+    assert bench.clock.monotonic() - at_s[0] <= 2.0 * bench.controller.hand.period_s + 1e-6
     opening_m = bench.aperture_m
     bench.sleep(0.5)
     # No later motion begins, unlike after a cancel.

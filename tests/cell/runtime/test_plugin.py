@@ -708,6 +708,16 @@ def test_a_stop_just_before_a_part_is_let_go_keeps_it(sorter: Sorter) -> None:
     assert grip_n(sorter.plugin) > 3.0
 
 
+def test_a_part_whose_release_finds_a_drifted_zero_is_counted(sorter: Sorter) -> None:
+    sensor = sorter.plugin.cell.controller.hand.sensor
+    drifted = raising(ZeroDrifted("the zero has drifted"))
+    sorter.on_place = lambda _destination: setattr(sensor, "check_zero", drifted)
+    job = sorter.sort("ball", "box")
+    assert ("the zero has drifted" in job.error, grip_n(sorter.plugin)) == (True, 0.0)
+    assert job.progress["places"] == {"bin 1": 1, "bin 2": 0, "reject": 0}
+    assert [part.place for part in sorter.parts] == ["bin 1"]
+
+
 def test_turns_without_a_part_are_counted_and_three_in_a_row_end_the_sort(make_plugin: Any) -> None:
     sorter = Sorter(make_plugin, SURE, **{"sequence.x_mm": [0.0, 0.0]})
     positioner = sorter.plugin.cell.controller.moves.positioner

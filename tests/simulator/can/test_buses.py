@@ -102,8 +102,7 @@ def test_waiting_moves_the_clock_to_the_time_out_and_no_further() -> None:
     assert bus.recv(-1.0) is None
     assert clock.monotonic() == 10.25
     echo.due_s = 10.5
-    heartbeat = bus.recv(5.0)
-    assert heartbeat.timestamp == clock.monotonic() == pytest.approx(10.5, abs=1e-4)
+    assert bus.recv(5.0).timestamp == clock.monotonic() == pytest.approx(10.5, abs=1e-4)
     with pytest.raises(SimulatorStateError, match="without a time-out"):
         bus.recv()
 

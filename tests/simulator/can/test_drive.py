@@ -127,7 +127,6 @@ def test_a_limit_switch_stops_the_axis_and_lets_it_out(bench, switch) -> None:
 
 @pytest.mark.parametrize("option", [0, od.STOP_WHEN_HOST_IS_LOST])
 def test_a_node_that_is_stopped_on_its_way_brakes_where_6007h_asks_for_it(bench, option) -> None:
-    sdo = enabled(bench.witness)
-    sdo["Abort connection option code"].raw = option
+    enabled(bench.witness)["Abort connection option code"].raw = option
     bench.witness.nmt.send_command(2)
     assert (bench.device.state == "QUICK STOP ACTIVE") is (option == od.STOP_WHEN_HOST_IS_LOST)

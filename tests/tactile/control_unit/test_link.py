@@ -229,8 +229,7 @@ def test_exchanged_pads_are_refused_by_the_serial_numbers_of_their_boards(make_b
     ],
 )
 def test_an_object_that_the_unit_refuses_is_named_with_the_abort_in_words(idle, code, says) -> None:
-    abort = struct.pack("<BHBL", 0x80, 0x1018, 1, code)
-    idle.alter(0x580 + NODE, lambda _burst: [abort])
+    idle.alter(0x580 + NODE, lambda _burst: [struct.pack("<BHBL", 0x80, 0x1018, 1, code)])
     with pytest.raises(
         errors.ObjectRefused, match=rf"0x1018:01 .*refused \(Code 0x{code:08X}, {says}"
     ):

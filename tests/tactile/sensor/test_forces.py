@@ -192,8 +192,7 @@ def test_the_centre_is_the_mean_place_weighted_by_force() -> None:
     one = 0.25 * place[first[0]] + 0.75 * place[first[1]]
     assert centres == pytest.approx(tuple(0.5 * (one + place[second[5]])))
     # Pads that do not grip have no say.
-    other = np.flatnonzero(~np.isin(LAYOUT.taxel_pad, LAYOUT.gripping_pads))
-    force_n[other] = 9.0
+    force_n[np.flatnonzero(~np.isin(LAYOUT.taxel_pad, LAYOUT.gripping_pads))] = 9.0
     assert ForceCentres(LAYOUT).of(force_n) == centres
 
 
