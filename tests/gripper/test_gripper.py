@@ -124,6 +124,21 @@ def test_pads_that_fail_as_a_carry_begins_let_nothing_go(make_cell, gain, valid_
     assert cell.least_n > 3.5
 
 
+@pytest.mark.parametrize(("wider_m", "rate_hz"), [(0.0006, 50.0), (0.0004, 200.0), (0.0006, 200.0)])
+def test_a_part_that_moves_the_fingers_between_two_commands_is_held_on(
+    make_cell, wider_m, rate_hz
+) -> None:
+    cell = make_cell(rate_hz=rate_hz, noise_n=0.1)
+    cell.hold_part(RAMP)
+    cell.gripper.hold(0.1)
+    cell.part.width_m += wider_m
+    ticks(cell, 0.06)
+    cell.least_n = 99.0
+    cell.gripper.hold_at(8.0)
+    ticks(cell, 0.3)
+    assert cell.least_n > 6.0
+
+
 def test_a_carried_part_that_grows_pushes_the_fingers_open_against_their_friction(cell) -> None:
     cell.hold_part(RAMP)
     cell.gripper.hold_at(4.0, 0.2)

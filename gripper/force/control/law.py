@@ -238,6 +238,7 @@ class ForceLaw:
         if sample is not None and self._jumps(sample, period):
             sample = None
         drive_n = 0.5 * (before_n + measured_n)
+        observer.begin_period(period.moment.now_s)
         observer.predict(period.moment.dt_s, drive_n, self._frictions_n(period))
         observer.measure(period.moment, sample)
         frictions_n = self._frictions_n(period)
