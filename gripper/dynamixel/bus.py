@@ -566,7 +566,9 @@ class ServoBus:
             left_s = self._quiet_since_s + _LATE_GUARD_S - now_s
             if left_s <= 0.0:
                 break
-            self.port.start_timeout(min(left_s, max(0.0, deadline_s - now_s)))
+            # Noise counts from when it came: a held part's watchdog allows no second guard time.
+            wait_s = min(left_s, self._period_s, max(0.0, deadline_s - now_s))
+            self.port.start_timeout(wait_s)
             status = self._handler.receive(self.port)
             self._stray.add(self._handler.dropped)
             now_s = self._clock.monotonic()

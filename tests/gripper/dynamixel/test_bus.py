@@ -183,6 +183,13 @@ def test_the_line_is_quiet_before_the_next_request_after_a_failure(script, bus, 
     assert clock.monotonic() - before_s >= 0.05
 
 
+def test_noise_in_the_wait_for_a_quiet_line_counts_from_when_it_came(script, bus, clock) -> None:
+    time_out(script, bus, (0.01, "A5"))
+    script.expect(READ_132, IS_166)
+    assert bus.read(1, PRESENT_POSITION) == 166
+    assert clock.monotonic() < 0.08
+
+
 def test_a_line_that_never_falls_quiet_is_named_with_what_was_heard(script, bus, clock) -> None:
     time_out(script, bus)
     script.chatter = b"\xa5\x5a"
