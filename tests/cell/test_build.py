@@ -286,8 +286,7 @@ def test_a_client_gets_the_axes_at_their_ports_and_more_patience(tmp_path, monke
 
 
 def test_a_client_gets_the_boards_of_its_sensor_at_their_ports() -> None:
-    preset = load_config(ROOT / "config" / "flexitac.yaml")
-    config = simulate.client_config(preset, ANNOUNCED)
+    config = simulate.client_config(load_config(ROOT / "config" / "flexitac.yaml"), ANNOUNCED)
     assert config.tactile.serial_ports == ("board0", "board1")
     assert not config.simulated
 

@@ -167,8 +167,7 @@ def test_the_quick_start_does_what_its_comments_say(tmp_path: Path) -> None:
     env = os.environ | {"PATH": f"{folder}:{os.environ['PATH']}", "COLUMNS": "200"}
 
     def typed_in_a_shell(command: str) -> str:
-        bash = ["bash", "-c", command]
-        return subprocess.check_output(bash, cwd=tmp_path, env=env, text=True)
+        return subprocess.check_output(["bash", "-c", command], cwd=tmp_path, env=env, text=True)
 
     init, teach, draw, train, identify, sort = map(typed_in_a_shell, lines)
     assert "wrote tactile-cell.yaml" in init

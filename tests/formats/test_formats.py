@@ -82,8 +82,7 @@ def test_recording_and_archive_are_read(release: Path) -> None:
 
 
 def test_what_the_cell_keeps_is_used_again(release: Path) -> None:
-    config = load_config(Path("tactile-cell.yaml"))
-    zeros = stored_zeros(config, Path("jobs"), new_hand=False)
+    zeros = stored_zeros(load_config(Path("tactile-cell.yaml")), Path("jobs"), new_hand=False)
     zeros.now_s = lambda: zeros.measured_s + 3600.0  # it is used for a day
     assert zeros.newest is not None
     path = Path("jobs/history-press-4.sqlite3")

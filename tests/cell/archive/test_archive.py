@@ -147,8 +147,7 @@ def test_what_is_torn_foreign_or_unfinished_is_named_and_left_for_later(fleet, t
     np.savez(tmp_path / "foreign.npz", a=np.arange(3))
     (tmp_path / "notes.txt").write_text("not looked at")
     np.savez(tmp_path / "model.npz", model=np.array("{}"))
-    clock = Clock()
-    open_recording = Recorder(tmp_path / "open.mcap", clock, pads=PADS)
+    open_recording = Recorder(tmp_path / "open.mcap", Clock(), pads=PADS)
     target = str(tmp_path / "archive")
     done = add(target, sources([tmp_path]))
     assert done.n_files == 0
@@ -325,8 +324,7 @@ def test_the_example_trains_and_evaluates_on_a_cluster_of_two_workers(
     model, target = tmp_path / "m.npz", str(tmp_path / "archive")
     workers = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
     with LocalCluster(processes=False, protocol="tcp", **workers) as cluster:
-        example = runpy.run_path(str(EXAMPLE))
-        example["main"](cluster.scheduler_address, fleet, target, model)
+        runpy.run_path(str(EXAMPLE))["main"](cluster.scheduler_address, fleet, target, model)
     out = capsys.readouterr().out
     assert "36 grasps of 6 files, 0 files left" in out
     assert re.search(r"force_ramp: [0-9.]+% of the grasps of new days named rightly", out)

@@ -242,8 +242,7 @@ def test_a_part_that_is_lost_on_the_way_ends_it_at_once(bench: Any) -> None:
         arrived.wait(30.0)
 
     bench.controller.grip(3.0, Pose())
-    moves = HostPlaces(OperatorPositioner(lambda _text: ""), places)
-    bench.controller.moves.positioner = moves
+    bench.controller.moves.positioner = HostPlaces(OperatorPositioner(lambda _text: ""), places)
     try:
         with pytest.raises(PartLost):
             bench.controller.moves.carry_to(TO_BIN)

@@ -324,8 +324,7 @@ def test_a_lost_process_is_told_until_another_has_read_the_servos(loop, hand, mo
 
 
 def test_a_process_that_says_that_it_ends_is_lost(loop, hand) -> None:
-    fault = HandFault(error=HandLost("told to end"), phase=GripperPhase.IDLE)
-    loop.line.outbox.post(fault)
+    loop.line.outbox.post(HandFault(error=HandLost("told to end"), phase=GripperPhase.IDLE))
     with pytest.raises(HandLost, match="told to end"):
         hand.tick()
     assert loop.line.near.closed

@@ -333,8 +333,7 @@ def test_the_first_line_names_the_cell(config, tmp_path, monkeypatch, capfd) -> 
     assert first_line() == f"cell: paper gripper at {ports} (tactile-cell.yaml)"
     Path("tactile-cell.yaml").unlink()
     Path("tactile-cell.yaml").symlink_to("gone.yaml")
-    result = RUNNER.invoke(app, ["doctor"])
-    assert "tactile-cell.yaml: No such file" in str(result.exception)
+    assert "tactile-cell.yaml: No such file" in str(RUNNER.invoke(app, ["doctor"]).exception)
 
 
 def test_a_terminal_obeys_no_text_of_a_file(tmp_path, capsys, monkeypatch) -> None:

@@ -302,8 +302,7 @@ def link(serve: Any, undo: ExitStack) -> Callable[..., socket.socket]:
 
     def connect(port: int, host: str) -> socket.socket:
         pause(next(number))
-        place = ("127.0.0.1", port)
-        return undo.enter_context(socket.create_connection(place, 20.0, (host, 0)))
+        return undo.enter_context(socket.create_connection(("127.0.0.1", port), 20.0, (host, 0)))
 
     return connect
 

@@ -210,8 +210,7 @@ def test_the_rules_name_each_serial_port_and_keep_modem_manager_away(monkeypatch
         ({"tactile.interface": "slcan", "tactile.channel": "/dev/ttyUSB1"}, {"can": 1}),
     ):
         axes = with_axes({"interface": "slcan", "channel": "/dev/ttyACM3"})
-        config = small_config(**axes | changes)
-        rules = system_files(config, None)[RULES_FILE]
+        rules = system_files(small_config(**axes | changes), None)[RULES_FILE]
         for role, number in (lines | {"servos": 0, "roll": 4}).items():
             assert f'ENV{{DEVPATH}}=="*-{number}/*", SYMLINK+="tactile-cell/{role}"' in rules
         modem = 'ATTR{idProduct}=="7523", ENV{ID_MM_DEVICE_IGNORE}="1"'

@@ -170,8 +170,7 @@ def test_a_simulated_cell_shows_pads_shift_grasps_and_health(connect) -> None:
     assert info["force_cap_n"] == served.service.config.gripper.force_max_n
     assert info["opening_max_mm"] == served.service.config.gripper.aperture_open_mm
     lease = host.post("/api/lease", name="host")["lease"]
-    goal = {"task": "sort", "parts": 1, "max_grasps": 1}
-    host.post("/api/jobs", lease=lease, goal=goal)
+    host.post("/api/jobs", lease=lease, goal={"task": "sort", "parts": 1, "max_grasps": 1})
     assert served.ended().error == ""
     now = host.get("/api/state")
     assert now["shift"]["parts"] == 1

@@ -132,8 +132,7 @@ def test_simulated_and_virtual_pads_read_as_the_config_says(tactile) -> None:
     config = CellConfig.model_validate({"tactile": tactile})
     layout = layout_from_config(config.tactile)
     force_n = np.linspace(0.0, 4.0, 9)
-    law = simulator_settings(config).law
-    counts = ideal_counts(force_n, layout.adc_max, law)
+    counts = ideal_counts(force_n, layout.adc_max, simulator_settings(config).law)
     assert make_calibration(config.tactile, layout).force_n(counts) == pytest.approx(force_n)
     assert layout.adc_max * usual_foam(config).response(force_n) == pytest.approx(counts)
 

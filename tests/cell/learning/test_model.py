@@ -402,8 +402,7 @@ def identified(model: TaughtModel, *records: Any) -> str:
 
 def named(controller: Any, model: TaughtModel, **goal: Any) -> tuple[Identification, str]:
     """Identify once; return the answer and the remark."""
-    cell = tasks.Tasks(controller, tasks.ModelFile(model, None))
-    return cell.named(IdentifyGoal(**goal))
+    return tasks.Tasks(controller, tasks.ModelFile(model, None)).named(IdentifyGoal(**goal))
 
 
 def test_only_whole_ramps_that_held_something_teach() -> None:
@@ -436,8 +435,7 @@ def test_recorded_grasps_are_followed_in_the_order_of_time() -> None:
     assert [drift.n_followed for drift in drifts] == [2, 3, 1, 0]
     assert [answer.name for answer, *_ in answers] == ["ball", "ball", "UNKNOWN", "UNKNOWN"]
     assert drifts[0].values["gain"] == pytest.approx(0.72, abs=0.01)
-    alone = identify_recorded(model, grasps)
-    assert [answer.name for answer, *_ in alone] == 4 * ["UNKNOWN"]
+    assert [answer.name for answer, *_ in identify_recorded(model, grasps)] == 4 * ["UNKNOWN"]
 
 
 def grasping(grasp: Grasp, records: Sequence[Any] = ()) -> Any:

@@ -582,8 +582,7 @@ def test_a_part_is_held_with_no_more_force_than_a_grip_asked_for(plugin: Any) ->
 
 
 def test_the_force_of_the_grasps_is_the_hosts(make_plugin, taught) -> None:
-    config = small_config(gripper__aperture_open_mm=12.0)
-    plugin = make_plugin(config, model=taught.result.model)
+    plugin = make_plugin(small_config(gripper__aperture_open_mm=12.0), model=taught.result.model)
     job = plugin.start(IdentifyGoal(present="box", force_n=3.5, seed=9))
     answer, progress = plugin.result(job, LIMIT_S), plugin.feedback(job).progress
     assert answer.probability == answer.probabilities[answer.label]

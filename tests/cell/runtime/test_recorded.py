@@ -74,8 +74,7 @@ def test_what_cannot_be_evaluated_says_why(taught: Any) -> None:
 
 def test_recorded_grasps_are_answered_one_by_one(taught: Any) -> None:
     model = load_model(taught.result.model)
-    grasps = [taught.grasps[0], replace(taught.grasps[9], label="")]
-    answers = identify_recorded(model, grasps)
+    answers = identify_recorded(model, [taught.grasps[0], replace(taught.grasps[9], label="")])
     assert [posterior.name for posterior, *_ in answers] == ["ball", "box"]
     assert answers[0][0].name_probability > 0.5
     assert answers[1][1:] == (None, None)

@@ -201,8 +201,7 @@ def test_a_repeated_request_is_not_done_twice(served) -> None:
 
 
 def test_labels_have_ids_that_the_config_fixes(make_plugin: Any, taught: Any) -> None:
-    config = small_config(serve__objects=["cube", "box"])
-    plugin = make_plugin(config, model=taught.result.model)
+    plugin = make_plugin(small_config(serve__objects=["cube", "box"]), model=taught.result.model)
     assert plugin.labels_by_id == plugin.info()["labels"] == ("cube", "box", "ball")
     assert {one["label"]: one["label_id"] for one in plugin.taught()} == {"ball": 3, "box": 2}
 
