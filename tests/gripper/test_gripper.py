@@ -110,7 +110,7 @@ def test_each_tick_controls_a_carried_part_until_its_grip_is_kept(cell, force_n:
     assert cell.gripper.release().opened == (1, 2)
 
 
-@pytest.mark.parametrize(("gain", "valid_s"), [(0.0, 1.0), (0.0, 0.015), (0.3, 0.03)])
+@pytest.mark.parametrize(("gain", "valid_s"), [(0.0, 1.0), (0.0, 0.015), (0.3, 0.03), (0.2, 1.0)])
 def test_pads_that_fail_as_a_carry_begins_let_nothing_go(make_cell, gain, valid_s) -> None:
     cell = make_cell(rate_hz=200.0, noise_n=0.1)
     cell.hold_part(RAMP)
@@ -124,10 +124,19 @@ def test_pads_that_fail_as_a_carry_begins_let_nothing_go(make_cell, gain, valid_
     assert cell.least_n > 3.5
 
 
-@pytest.mark.parametrize(("wider_m", "rate_hz"), [(0.0006, 50.0), (0.0004, 200.0), (0.0006, 200.0)])
-def test_a_part_that_moves_the_fingers_between_two_commands_is_held_on(
-    make_cell, wider_m, rate_hz
-) -> None:
+def test_pads_that_read_little_for_a_moment_change_no_grip(make_cell) -> None:
+    cell = make_cell(rate_hz=200.0, noise_n=0.1)
+    cell.hold_part(RAMP)
+    cell.gripper.hold_at(4.0, 0.2)
+    cell.least_n, cell.sensor.gain = 99.0, 0.2
+    ticks(cell, 0.03)
+    cell.sensor.gain = 1.0
+    ticks(cell, 0.5)
+    assert (cell.gripper.phase, cell.least_n > 3.5) == (GripperPhase.HOLDING, True)
+
+
+@pytest.mark.parametrize(("wider_m", "rate_hz"), [(0.0006, 50.0), (0.0004, 200.0)])
+def test_a_part_that_moves_the_fingers_in_a_pause_is_held_on(make_cell, wider_m, rate_hz) -> None:
     cell = make_cell(rate_hz=rate_hz, noise_n=0.1)
     cell.hold_part(RAMP)
     cell.gripper.hold(0.1)

@@ -10,7 +10,7 @@ from collections import deque
 from math import inf, sqrt
 from typing import NamedTuple
 
-from gripper.errors import ForceImbalance, GripContradicted, PositionContradicted
+from gripper.errors import ForceImbalance, GripContradicted, PartSlipped, PositionContradicted
 from gripper.force.certainty import (
     BRIEF_S,
     EMPTY_SHARE,
@@ -23,7 +23,7 @@ from gripper.force.estimates.grip import KNOWN_N, SOFTEST_N_M, Grip
 from gripper.force.loop import Moment
 from gripper.mechanics.transmission import driving_n, mean_friction_n
 from gripper.settings import GripperSettings
-from gripper.values.force_sensor import LOOK_BACK_S, ForceSample, RecentForce, mean_n
+from gripper.values.force_sensor import FRAME_S, LOOK_BACK_S, ForceSample, RecentForce, mean_n
 from gripper.values.state import ServoFeedback
 
 _RUN_M_S = 0.008
@@ -44,6 +44,9 @@ CREEP_M = 0.0005
 [chosen]"""
 _SUDDEN_RATIO = 6.0
 """Least force, relative to an empty pad, before a sudden loss of force on the pads. [tuned]"""
+_FALL_S = 3.0 * FRAME_S
+"""Time in s from which a sudden fall of the force is a slip: checks of the pads need less, and the
+force before it is known for longer."""
 _PAD_NOISE = sqrt(2.0)
 """Noise of one pad over that of the grip force, the mean of both. [statistics]"""
 ADVICE = (
@@ -204,6 +207,7 @@ class PartWatch:
         self._widest_m, self._sunk_m = widest_m, grip.apertures.newest
         self._rose_s: float | None = None
         self._contradicted_s = self._uneven_s = 0.0
+        self._fell_s = inf
 
     @property
     def suspicious(self) -> bool:
@@ -365,6 +369,26 @@ class PartWatch:
             and travel_m >= settings.runaway_travel_m
             and promised_n >= _BLIND_N
             and self.pads.recent.grip_n - began_n < _BLIND_SHARE * promised_n
+        )
+
+    def force_falls(self) -> bool:
+        """Return whether the newest sample shows a sudden fall of the force that was planned.
+
+        It is not for control: a law that follows it would open the fingers. Raises PartSlipped when
+        the fall lasts.
+        """
+        newest, much_n = self.pads.recent.newest, min(self._grip.planned_n, self.pads.before_n)
+        low_n = PRESENT_SHARE * much_n - SURE_SDS * newest.noise_n
+        if much_n <= _SUDDEN_RATIO * self.pads.empty_n or newest.grip_n > low_n:
+            self._fell_s = inf
+            return False
+        self._fell_s = min(self._fell_s, newest.t_s)
+        if newest.t_s - self._fell_s < _FALL_S:
+            return True
+        raise PartSlipped(
+            f"the grip force fell from {much_n:.2f} N to {newest.grip_n:.2f} N although nothing "
+            f"opened the fingers: the part slips, or the pads are at fault. The goals are frozen, "
+            f"nothing grips again by itself: look, check the pads, clear the fault, then release"
         )
 
     def check_pads(self, moment: Moment, *, rises: bool) -> None:

@@ -59,8 +59,7 @@ def test_what_is_measured_is_what_the_hand_is(make_bench) -> None:
     assert there.controller.life.state is CellState.IDLE
     assert not there.controller.life.holding
     there.controller.moves.present("ball")
-    step = GraspStep(pose=Pose(), force_n=6.0)
-    assert there.controller.grasp(step).grasp.zero == other
+    assert there.controller.grasp(GraspStep(pose=Pose(), force_n=6.0)).grasp.zero == other
 
 
 @pytest.mark.parametrize(

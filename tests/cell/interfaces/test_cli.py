@@ -313,8 +313,7 @@ def test_clear_shows_the_servos_and_restarts_them_where_that_is_asked_for(
     assert "servo 1 has no torque (overload)\n" in said
     assert said.endswith("after the reboot servo 1 has no torque\n")
 
-    silent = changed_config(loaded, {"simulator.faults": ["servo2.off"]})
-    faulty.write_text(config_text(silent))
+    faulty.write_text(config_text(changed_config(loaded, {"simulator.faults": ["servo2.off"]})))
     said = fail("hand", "clear", "-c", faulty)
     assert "servo 2 does not answer: remove the cause" in said
 

@@ -51,8 +51,7 @@ def test_a_rest_above_all_frames_cuts_nothing_off():
     pads = make_pads(shapes=((4, 3),) * 3)
     rest = learn_rest(make_grasps(3, seed=3, pads=pads, gripping=(0, 1, 2)))
     rest.counts[pads.taxels_of(2)] += 20_000.0
-    pressed = make_grasp(OBJECTS[0], np.random.default_rng(6), pads=pads)
-    loaded = part(pressed, np.arange(-5, 0))
+    loaded = part(make_grasp(OBJECTS[0], np.random.default_rng(6), pads=pads), np.arange(-5, 0))
     ramp = find_ramp(loaded, rest)
     assert ramp.touched
     assert ramp.load.sum(axis=1).max() < 0.0

@@ -106,8 +106,7 @@ def stl(tmp_path):
 
     def write(mesh):
         path = tmp_path / "part.stl"
-        data = mesh.encode() if isinstance(mesh, str) else mesh.export(file_type="stl")
-        path.write_bytes(data)
+        path.write_bytes(mesh.encode() if isinstance(mesh, str) else mesh.export(file_type="stl"))
         return path
 
     return write
