@@ -247,6 +247,8 @@ class Lifecycle:
         force above its cap                currents that can make it are lowered until it is below
         one finger silent or without       both hold their positions: none pushes alone; a motion
         torque                             without a part was stopped before, without current
+        the part is lost                   the fingers hold their positions: a frozen goal would
+                                           close them
         any other, moving fingers          they stop, and this is read back; without current where
                                            their positions are contradicted, or one does not open
         any other                          the goals are frozen
@@ -277,7 +279,7 @@ class Lifecycle:
             with suppress(errors.GripperError):
                 if isinstance(error, errors.ForceAboveCap) or servos.goals.force_is_too_high():
                     self._lower_force()
-                elif one_sided:
+                elif one_sided or isinstance(error, errors.PartLost):
                     servos.hold_position()
                 elif not moving:
                     servos.freeze()

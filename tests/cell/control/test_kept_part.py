@@ -249,3 +249,6 @@ def test_a_part_that_is_lost_on_the_way_ends_it_at_once(bench: Any) -> None:
     finally:
         arrived.set()
     assert bench.life.grasp_state is GraspState.PART_LOST
+    lost_at_m = bench.aperture_m
+    bench.sleep(0.5)
+    assert abs(bench.aperture_m - lost_at_m) < 0.5e-3  # with frozen goals one finger closes 3 mm
