@@ -82,8 +82,7 @@ def grasps_of(path: Path, data: bytes) -> tuple[Grasp, ...] | None:
 @bad_input(harm=damages(), sound={"harm": []})
 def test_a_damaged_data_set_is_refused_or_unchanged(tmp_path, harm):
     grasps = grasps_of(tmp_path / "x.npz", spoilt(good_dataset(), harm))
-    right = grasps_of(tmp_path / "good.npz", good_dataset())
-    assert grasps is None or same_grasps(grasps, right)
+    assert grasps is None or same_grasps(grasps, grasps_of(tmp_path / "good.npz", good_dataset()))
     return "refused" if grasps is None else "unchanged"
 
 

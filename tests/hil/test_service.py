@@ -35,8 +35,7 @@ def simulator(free_machine: None) -> Iterator[CellProcess]:
         port = free.getsockname()[1]
     serve = f"serve: {{lease_timeout_s: 30.0, modbus_port: null, xmlrpc_port: {port}}}\n"
     config = parse_config(CONFIG + serve, source="test")
-    objects = {"simulator": small_config().simulator}
-    one = CellProcess(config.model_copy(update=objects))
+    one = CellProcess(config.model_copy(update={"simulator": small_config().simulator}))
     first(one.pid)
     yield one
     one.end()

@@ -217,8 +217,7 @@ def test_one_pad_has_no_other_to_compare_with():
     alone = [describe_footprint(levels.maps[0], levels.noise[..., 0], pad_grid(pads, 0))]
     widths = {name: of(levels, alone).shape[1] for name, of in FEATURE_GROUPS.items()}
     assert [name for name, width in widths.items() if not width] == ["pads"]
-    features = features_of(levels, rest, opening=False)
-    assert features.shape == (len(grasps), sum(widths.values()))
+    assert features_of(levels, rest, opening=False).shape == (len(grasps), sum(widths.values()))
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 6), (2, 1), (2, 2), (6, 2)])
