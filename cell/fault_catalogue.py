@@ -146,7 +146,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "The part slipped out, broke or was taken.", "Look for the part; clear, release, reset.",
         "The fingers stand still; nothing is held.", EMPTY),
     gripper.PartSlipped: Fault(206, "The held part slips",
-        "Little force, a smooth or heavy part, a push; a drifting zero.",
+        "Too little force, a smooth or heavy part, a push, drifting pads.",
         "Look; clear, then release it; take more force next time.", HELD, LET_GO),
     gripper.ForceImbalance: Fault(207, "Fingers press with different forces",
         "One finger is blocked, or the part is held from outside.", "Free the finger or the part.",

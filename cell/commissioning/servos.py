@@ -95,7 +95,7 @@ def scan_servos(bench: Bench, port: str, dialog: Dialog, rates: Sequence[int] = 
             if has_damaged:
                 # A single one may be chance.
                 identities, has_damaged = bus.scan_at_once()
-            for identity in dict.fromkeys(identities):  # an answer may come twice
+            for identity in identities:
                 servo = ServoAnswer(rate, identity)
                 (shared if bus.shares_id(identity.servo_id) else servos).append(servo)
             if has_damaged:

@@ -253,7 +253,7 @@ class ServoBus:
                 answers.append(self._identity(status))
         damaged |= bool(self._handler.dropped)
         self._mark_suspect()
-        return tuple(answers), damaged
+        return tuple(dict.fromkeys(answers)), damaged  # an answer may come twice
 
     def shares_id(self, servo_id: int) -> bool:
         """Return whether several servos answer to one ID.

@@ -67,7 +67,7 @@ class GripObserver:
         """Grip force in N."""
         self.speed_m_s = 0.0
         """Closing speed of a pad in m/s; 0 where friction locks the fingers."""
-        self._breaks = self._paused = False
+        self._breaks = False
         self.missing_n = 0.0
         """Missing force of the drive in N."""
         self._way_m, self._start_m = 0.0, grip.apertures.newest
@@ -79,7 +79,7 @@ class GripObserver:
         self._forces, self._ways_m = History(), History()
         self._forces.add(now_s, self.force_n)
         self._ways_m.add(now_s, 0.0)
-        self._sample_s = self._measured_s = now_s
+        self._sample_s = self._period_s = now_s
 
     @property
     def force_sd_n(self) -> float:
@@ -98,9 +98,11 @@ class GripObserver:
 
     def begin_period(self, now_s: float) -> None:
         """Begin a period at a time in s; in a pause before it the fingers came to rest."""
-        self._paused = now_s - self._measured_s > FRAME_S
-        if self._paused:
+        paused, self._period_s = now_s - self._period_s > FRAME_S, now_s
+        if paused:
             self.speed_m_s, self._breaks = 0.0, False
+            # Samples of the pause belong to the present force and way, not to those before it.
+            self._forces, self._ways_m = History(), History()
 
     def break_loose(self, speed_m_s: float) -> None:
         """Set the speed after a push on locked fingers; 0 if they stay locked.
@@ -168,10 +170,6 @@ class GripObserver:
         followed_n = self.stiffness_n_m * (self._way_m - before_m)
         self._p[0] += followed_n * self._p[4]
         self._p[:, 0] += followed_n * self._p[:, 4]
-        if self._paused:
-            # Samples of the pause belong to the present force and way, not to those before it.
-            self._forces, self._ways_m = History(), History()
-        self._measured_s = moment.now_s
         self._forces.add(moment.now_s, self.force_n)
         self._ways_m.add(moment.now_s, self._way_m)
         if sample is not None and sample.t_s > self._sample_s:

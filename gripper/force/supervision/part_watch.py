@@ -99,13 +99,18 @@ class PadSamples:
         """Largest grip force in N of the look-back window, a mean of enough samples."""
         return max([force_n for _, force_n in self._before_n], default=0.0)
 
+    def much_n(self, planned_n: float) -> float:
+        """Return the force in N that was there, and planned; 0 where it is too small to judge."""
+        much_n = min(planned_n, self.before_n)
+        return much_n if much_n > _SUDDEN_RATIO * self.empty_n else 0.0
+
     def suddenly_empty(self, planned_n: float) -> bool:
         """Return whether almost no force is left although ``planned_n`` N were planned.
 
         One sample is enough if its noise cannot hide the earlier force; a fast sensor needs more.
         """
-        much_n = min(planned_n, self.before_n)
-        if much_n <= _SUDDEN_RATIO * self.empty_n:
+        much_n = self.much_n(planned_n)
+        if much_n == 0.0:
             return False
         newest_noise_n = (PRESENT_SHARE * much_n - self.empty_n) / SURE_SDS / _PAD_NOISE
         newest = RecentForce(max(0.0, newest_noise_n), one_frame=True)
@@ -377,9 +382,9 @@ class PartWatch:
         It is not for control: a law that follows it would open the fingers. Raises PartSlipped when
         the fall lasts.
         """
-        newest, much_n = self.pads.recent.newest, min(self._grip.planned_n, self.pads.before_n)
+        newest, much_n = self.pads.recent.newest, self.pads.much_n(self._grip.planned_n)
         low_n = PRESENT_SHARE * much_n - SURE_SDS * newest.noise_n
-        if much_n <= _SUDDEN_RATIO * self.pads.empty_n or newest.grip_n > low_n:
+        if much_n == 0.0 or newest.grip_n > low_n:
             self._fell_s = inf
             return False
         self._fell_s = min(self._fell_s, newest.t_s)

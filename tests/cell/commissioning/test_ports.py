@@ -135,7 +135,7 @@ def test_each_obstacle_at_a_port_is_named(
             (udev := machine / "run/udev/data").mkdir(parents=True)
             ignored = "E:ID_MM_DEVICE_IGNORE=1" if "kept" in obstacle else ""
             (udev / "c189:1-1").write_text(f"E:ID_BUS=usb\n{ignored}\n")
-    bad = [one for one in [*check_port("key", str(port))] if one.verdict is not Verdict.PASS]
+    bad = [one for one in check_port("key", str(port)) if one.verdict is not Verdict.PASS]
     assert [(one.what, one.verdict) for one in bad] == [(what, verdict)] * bool(text)
     assert all(text in one.text and one.advice for one in bad)
     if obstacle == "slow":
