@@ -729,6 +729,7 @@ class Gripper:
         finally:
             self._finger, self._life.running = None, False
             self._life.take_over(finger._life)
+        self._life.part_possible = False
         self._life.switched_off()
         return ReleaseReport(state=state, opened=(movable.servo_id,), left=(left,))
 

@@ -133,11 +133,10 @@ class Lifecycle:
         self.rest()
 
     def switched_off(self) -> None:
-        """Set the phase for torque off: nothing is held."""
+        """Set the phase for torque off; the friction of the gearing may still hold a part."""
         self._servos.forget()
-        self.part_possible = False
         self.controlled = False
-        self.phase = GripperPhase.OFF
+        self.phase = GripperPhase.HELD_AFTER_FAULT if self.part_possible else GripperPhase.OFF
 
     def check_ready(self, command: str) -> None:
         """Raise GripperStateError when a command is not possible now; see `COMMANDS`."""

@@ -136,8 +136,8 @@ class CellController:
             if self.hand.phase is GripperPhase.HELD_AFTER_FAULT:
                 conditions = "; ".join(map(str, self.hand.conditions()))
                 raise PartInGrip(
-                    f"servos have torque from an earlier run, a part may be in the grip; nothing "
-                    f"was moved ({conditions}). Clear the fault, release the part, then start again"
+                    f"a part may be in the grip, from an earlier run or a fault; nothing was "
+                    f"moved ({conditions}). Clear the fault, release the part, then start again"
                 )
             self.zeroing.start()
             self.life.complete()

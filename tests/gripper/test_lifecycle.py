@@ -89,6 +89,13 @@ def test_a_torque_that_is_lost_between_two_commands_is_a_fault_of_the_next_one(c
     with pytest.raises(errors.ServoFault, match="torque is off although") as fault:
         cell.gripper.hold(2.0)
     assert (fault.value.torque_lost, cell.torques) == (True, [1, 0])
+    # Without torque the gearing alone may hold the part: no motion of empty fingers follows.
+    cell.servos[0].write(64, b"\0", cell.clock.monotonic())
+    cell.gripper.clear_fault()
+    cell.gripper.start()
+    with pytest.raises(errors.GripperStateError, match="release the part first"):
+        cell.gripper.open()
+    assert cell.gripper.release().opened == (1, 2)
 
 
 # Fingers on their way stop where they are.
@@ -150,8 +157,7 @@ def test_fingers_on_their_way_stop_where_they_are(make_cell, command, how) -> No
     cell.clock.sleep(2.0)
     assert cell.mechanics.aperture_m == pytest.approx(stood_m, abs=3e-4)
     if how in {"stop", "fail"}:
-        said_mm = float(re.findall(r"([\d.]+) mm", told)[0])
-        assert said_mm == pytest.approx(stood_m * 1e3, abs=1.0)
+        assert float(re.findall(r"([\d.]+) mm", told)[0]) == pytest.approx(stood_m * 1e3, abs=1.0)
     if how == "stop":
         expected = GripperPhase.HELD_AFTER_FAULT if command == "release" else GripperPhase.IDLE
         assert cell.gripper.phase is expected

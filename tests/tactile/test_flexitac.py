@@ -159,8 +159,7 @@ def test_a_stream_that_is_joined_anywhere_gives_whole_frames(cut: int) -> None:
     assert stream.torn == 0
     assert len(got) >= 4
     # Bytes that trickle in without a pause show the end of the last frame by the next header.
-    whole = sent[:-1]
-    assert [samples for _, samples in got] == [frame[2:] for frame in whole[-len(got) :]]
+    assert [samples for _, samples in got] == [frame[2:] for frame in sent[:-1][-len(got) :]]
 
 
 def test_frames_of_one_look_are_dated_by_their_order(stream) -> None:

@@ -267,8 +267,7 @@ def test_the_repair_of_a_damaged_file_loses_no_grasp(tmp_path) -> None:
 )
 def test_a_file_that_does_not_fit_is_named_and_others_are_archived(tmp_path, changes, why) -> None:
     for name, values in {"a": changes, "b": {"cell": 40 * "ü"}}.items():
-        cell = values.get("cell", "press")
-        grasps = [ramp("pen", np.random.default_rng(5), cell=cell)]
+        grasps = [ramp("pen", np.random.default_rng(5), cell=values.get("cell", "press"))]
         record(tmp_path / f"{name}.mcap", grasps, answers=["pen"], **values)
     done = add(str(tmp_path / "archive"), sources([tmp_path]))
     assert (done.n_files, done.n_grasps, list(done.left)) == (1, 1, [str(tmp_path / "a.mcap")])

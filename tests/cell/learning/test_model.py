@@ -646,8 +646,7 @@ def test_a_check_that_fails_is_a_complaint_and_the_ramp_goes_on(bench) -> None:
 def test_by_touch_alone_and_for_other_kinds_ramps_are_whole(taught) -> None:
     for name, use_aperture in (("force_ramp", True), ("level_check", True), ("force_ramp", False)):
         changes = {"recognition.recognizer": name, "recognition.use_aperture": use_aperture}
-        config = changed_config(taught.config, changes)
-        model = TaughtModel(config, training_set=taught.grasps)
+        model = TaughtModel(changed_config(taught.config, changes), training_set=taught.grasps)
         model.train()
         assert model.ends_early is (name == "force_ramp" and use_aperture)
 

@@ -188,8 +188,7 @@ def test_a_release_after_it_goes_limp_again(make_cell, aperture_m, most_n) -> No
 
 @pytest.mark.slow
 def test_a_time_that_ends_before_the_empty_fingers_meet_is_told_as_that(make_started) -> None:
-    slow = {"approach_speed_m_s": 0.004, "contact_timeout_s": 1.0}
-    cell = make_started(present=False, **slow)
+    cell = make_started(present=False, approach_speed_m_s=0.004, contact_timeout_s=1.0)
     with pytest.raises(LimitExceeded, match=r"after 3 s they have closed .*contact_timeout_s"):
         cell.gripper.press_pads_together(ForceRamp.linear(3.0, 5.0))
     assert cell.torques == [1, 1]

@@ -256,8 +256,7 @@ def test_a_position_that_drifts_open_does_not_take_a_closing_goal_with_it() -> N
 
 def test_no_finger_is_driven_open_beyond_the_touch() -> None:
     contact = standing(0.1)
-    touch_m = standing(0.1 + 0.5 * GIVE_RAD).aperture_m
-    goals = DriveGoals(make_grip(touch_m=touch_m), contact)
+    goals = DriveGoals(make_grip(touch_m=standing(0.1 + 0.5 * GIVE_RAD).aperture_m), contact)
     assert first_goal(goals, -30.0, 0.1)[0] == pytest.approx(0.1 + GIVE_RAD)
     assert goals.may_open
     beyond_rad = 0.1 + 0.6 * GIVE_RAD
