@@ -203,7 +203,8 @@ class GoalWriter:
         left below the cap allows (`gripper.mechanics.impact`). While nothing presses on its pad,
         its goal lies no farther ahead than that speed needs. The servo's position controller keeps
         to it between two writes; a profile does too. Brakes that are ``final`` hold the finger
-        where it is: their small current would let the part push it.
+        where it is: their small current would let the part push it. The current of final goals
+        swings from the measured force to less than the cap.
         """
         return tuple(
             self._closing(index, goal, state, final=final)
@@ -242,6 +243,10 @@ class GoalWriter:
             self._stood_a[state.servo_id] = max(stood_a, -state.current_a)
         reach_m = self._pads * self._linkage.opening_per_rad_m(state.angle_rad)
         most_a = min(goal.current_a, self._most_a(state.servo_id, goal, path))
+        if final and (sample := self.fresh_force) is not None:
+            # A sudden drive swings from the force at rest to as far beyond the drive.
+            swings_n = 0.5 * (impact.most_n + max(0.0, *sample.force_n))
+            most_a = min(most_a, path.loading_current_a(swings_n))
         fastest_m_s = impact.pad_speed_m_s(None if empty else force_n)
         if empty:
             # No approach is slower. Until the finger has shown friction, current is the limit.

@@ -74,8 +74,7 @@ class ScriptedStream:
         assert self.script, f"unexpected request {data.hex()}"
         request, pieces = self.script.popleft()
         assert data.hex() == request.hex()
-        now_s = self.clock.monotonic()
-        self.arriving += [(now_s + delay_s, piece) for delay_s, piece in pieces]
+        self.arriving += [(self.clock.monotonic() + delay_s, piece) for delay_s, piece in pieces]
         self.arriving.sort(key=lambda entry: entry[0])
 
     def read(self, size: int, timeout_s: float, /) -> bytes:
@@ -93,8 +92,7 @@ class ScriptedStream:
         return piece[:size]
 
     def drop_input(self) -> None:
-        now_s = self.clock.monotonic()
-        self.arriving = [entry for entry in self.arriving if entry[0] > now_s]
+        self.arriving = [entry for entry in self.arriving if entry[0] > self.clock.monotonic()]
 
     def close(self) -> None:
         self.closed = True

@@ -709,8 +709,7 @@ WRITE = ProposedChange(where="servo 1", what="id (7)", before="1", after="2", un
 @pytest.fixture
 def typed(monkeypatch: pytest.MonkeyPatch) -> Callable[..., TerminalDialog]:
     def type_in(*lines: str) -> TerminalDialog:
-        text = io.StringIO("".join(f"{line}\n" for line in lines))
-        monkeypatch.setattr(sys, "stdin", text)
+        monkeypatch.setattr(sys, "stdin", io.StringIO("".join(f"{line}\n" for line in lines)))
         return TerminalDialog()
 
     return type_in

@@ -492,8 +492,7 @@ def test_a_program_with_a_problem_stops_its_job_and_feeds_no_watchdog(serve, cap
     assert [working for _, working in reports] == [True, True, False, False, True]
     assert reports[2][0].startswith("the thread of the cell hangs")
     assert "stopped because the thread of the cell hangs" in served.ended().error
-    said = " ".join(capsys.readouterr().err.split())
-    assert said.count("the thread of the cell hangs") == 1
+    assert " ".join(capsys.readouterr().err.split()).count("the thread of the cell hangs") == 1
 
 
 def test_a_host_may_take_its_time_for_a_pose(serve) -> None:

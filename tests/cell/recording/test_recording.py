@@ -1167,5 +1167,4 @@ def test_a_file_of_another_version_is_refused(kind, write, read, tmp_path) -> No
         read(path)
     said = str(refused.value)
     assert f"{path}: its format is '{other}', but {PROGRAM} reads {kind}; {kind.remedy}" in said
-    every = [kind for kind in vars(files).values() if isinstance(kind, Format)]
-    assert len(every) == len(KINDS)
+    assert len([kind for kind in vars(files).values() if isinstance(kind, Format)]) == len(KINDS)

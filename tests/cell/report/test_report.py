@@ -162,8 +162,7 @@ def test_darker_shade_means_more_pressure_and_a_touched_side_is_drawn(recording)
     grasp = recording.grasps[0]
     names, gripping = [pad.name for pad in LAYOUT.pads], LAYOUT.gripping_pads
     view = pressure_view(grasp, names, gripping)
-    most_n = grasp.force_n.max()
-    forces = [f"{share * most_n:.1f} N" for share in (0.25, 0.5, 0.75, 1.0)]
+    forces = [f"{share * grasp.force_n.max():.1f} N" for share in (0.25, 0.5, 0.75, 1.0)]
     assert [force for force, *_ in view["levels"]] == forces
     pressed = grasp.counts[-5:].mean(axis=0) - grasp.rest_counts
     assert view["levels"][-1][1] == pytest.approx(pressed.max())

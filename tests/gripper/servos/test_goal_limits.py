@@ -161,6 +161,14 @@ def test_no_more_current_is_written_than_the_force_that_is_asked_for_needs(goal,
         assert pushed_a == again_a == [pytest.approx(most_n * ONE_N_A, abs=0.004)] * 2
 
 
+def test_goals_that_stay_swing_from_the_measured_force_to_below_the_cap() -> None:
+    writer, asked = make_writer(), [ServoGoal(angle_rad=0.05, current_a=0.6)] * 2
+    writer.note_force(ForceSample(t_s=1.0, force_n=(1.0, 2.0)))
+    for goal in writer.bounded(asked, standing(velocity_rad_s=0.0), final=True):
+        swings_n = 0.5 * (0.9 * PAIR.force_max_n + 2.0)
+        assert goal.current_a == pytest.approx((swings_n + FRICTION_N) * ONE_N_A, rel=0.02)
+
+
 @pytest.mark.parametrize("shares", [(1.0, 0.0), (0.0, 1.0)], ids=["position", "motor"])
 def test_fingers_that_press_keep_a_speed_that_goes_by_no_pad(shares) -> None:
     """Pads that stand at 0.6 N would allow 30 mm/s. Position or motor shows the speed."""
