@@ -126,8 +126,7 @@ def test_each_log_has_a_line_and_one_outside_ends_it_with_1(log, outside, tmp_pa
         assert ended.value.code == 1
     else:
         main(folder=str(tmp_path))
-    lines = capsys.readouterr().out.splitlines()
-    (line,) = (one for one in lines if one.startswith("a"))
+    (line,) = (one for one in capsys.readouterr().out.splitlines() if one.startswith("a"))
     assert line.count("OUTSIDE") + line.count("ERROR") == bool(outside)
     if outside:
         assert re.search(outside, line)

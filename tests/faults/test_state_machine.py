@@ -222,8 +222,7 @@ def run_machine(steps: int, number: int) -> int:
                 print_blob=False,
                 suppress_health_check=list(HealthCheck),
             )
-            seeded = seed(1000 * number + part)(CellMachine)
-            run_state_machine_as_test(seeded, settings=chosen)
+            run_state_machine_as_test(seed(1000 * number + part)(CellMachine), settings=chosen)
     except Exception as error:
         error.add_note(f"seed {number}")
         raise

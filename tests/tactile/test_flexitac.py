@@ -80,8 +80,7 @@ def test_repeated_frames_are_not_handed_out_as_fresh_ones(cell, source) -> None:
     cell.inject("board.repeated=0.2")
     frames = run(cell, source, 2.0)
     assert source.statistics.frames.duplicate > 40
-    halves = [one.counts[:384].tobytes() for one in frames]
-    assert sum(a == b for a, b in pairwise(halves)) == 0
+    assert sum(a == b for a, b in pairwise([one.counts[:384].tobytes() for one in frames])) == 0
 
 
 def test_a_burst_after_a_late_frame_does_not_go_back_in_time() -> None:

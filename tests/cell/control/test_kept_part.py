@@ -197,8 +197,7 @@ def test_noise_of_the_taxels_makes_no_part_another_one() -> None:
     def part() -> HeldPart:
         frames = rng.normal(pressed, 24.0, (10, 408))
         noise = float(frames.var(axis=0).sum()) / 9
-        mean = frames.mean(axis=0)
-        return HeldPart(force_n=4.0, opening_m=0.01, footprint=mean, noise=noise)
+        return HeldPart(force_n=4.0, opening_m=0.01, footprint=frames.mean(axis=0), noise=noise)
 
     checks = [compared(part(), part()) for _ in range(20)]
     assert all(check.same for check in checks), [check.reasons for check in checks]

@@ -83,8 +83,7 @@ class BlockPlc:
         """Read, call the block, write; an exception as answer is no success."""
         wanted = {"Enable": True, "Connected": self.connected, "Execute": False, "HoldNow": False}
         blocks = {"Inputs": self.plc.inputs()[:64], "Part": self.plc.part()}
-        written = self.block.call(**(blocks | wanted | inputs))
-        self.connected = self.plc.write(0, *written) == 0
+        self.connected = self.plc.write(0, *self.block.call(**(blocks | wanted | inputs))) == 0
         return self
 
     def ready(self) -> "BlockPlc":

@@ -163,8 +163,7 @@ def test_a_report_that_cannot_be_written_does_not_cost_the_result(
 
 def test_the_paper_is_put_beside_its_five_objects(taught, capsys) -> None:
     labels = ("box", "ball", "oval", "cylinder", "dumbbell")
-    right = score("", labels, labels, labels)
-    scores = dict.fromkeys(("force_ramp", "level_check"), right)
+    scores = dict.fromkeys(("force_ramp", "level_check"), score("", labels, labels, labels))
     terminal.show(result_lines(replace(taught.result, labels=labels, scores=scores), {}))
     lines = capsys.readouterr().out.splitlines()
     assert "its Table 1): 48 of 50 right" in lines[0]

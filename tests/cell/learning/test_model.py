@@ -273,8 +273,7 @@ class Nearsighted:
         return Nearsighted(tuple(sorted({grasp.label for grasp in grasps})))
 
     def posterior(self, grasp: Grasp) -> Posterior:
-        wrong = grasp.label == "pin" and grasp.start_ms % 2
-        likely = "bolt" if wrong else grasp.label
+        likely = "bolt" if grasp.label == "pin" and grasp.start_ms % 2 else grasp.label
         weights = np.array([10.0 if one == likely else 1.0 for one in self.labels])
         if "bolt" in self.labels:
             weights[self.labels.index("bolt")] += 0.5
@@ -453,8 +452,7 @@ def grasping(grasp: Grasp, records: Sequence[Any] = ()) -> Any:
         )
 
     take = lambda _step, *, label: record(replace(grasp, label=label))  # noqa: E731
-    journal = Mock(brought=None)
-    return Mock(clock=Clock(), journal=journal, identify=identify, grasp=take)
+    return Mock(clock=Clock(), journal=Mock(brought=None), identify=identify, grasp=take)
 
 
 def test_a_session_says_each_drift_once_and_takes_it_off_what_is_taught_then(monkeypatch) -> None:

@@ -316,8 +316,7 @@ class Wall:
     def part(self, label: str = "ball", seconds: float = 4.0, **fields: Any) -> Part:
         """A part of this moment, with the next number."""
         self.n_parts += 1
-        known = {"number": self.n_parts, "time_s": self.now_s}
-        return part(label, seconds, **known | fields)
+        return part(label, seconds, **{"number": self.n_parts, "time_s": self.now_s} | fields)
 
 
 def part(label: str = "ball", seconds: float = 4.0, **fields: Any) -> Part:

@@ -20,8 +20,7 @@ def test_units_and_signs_are_those_of_the_manual() -> None:
     assert pytest.approx(0.0239691, rel=1e-3) == XM430_W350.velocity_unit_rad_s
     assert pytest.approx(0.00153398, rel=1e-5) == XM430_W350.rad_per_pulse
     # The table of the RH-P12-RN(A) below has the addresses of all others.
-    own = {table.REGISTERS[name].address for name in MODEL.absent}
-    assert own == {10, 13, 60, 62, 147}
+    assert {table.REGISTERS[name].address for name in MODEL.absent} == {10, 13, 60, 62, 147}
     signed = {r.address for r in table.REGISTERS.values() if r.signed}
     assert signed == {20, 98, 100, 102, 104, 116, 124, 126, 128, 132, 136, 140}
 

@@ -174,8 +174,7 @@ def test_a_level_begins_when_the_force_has_risen_to_it() -> None:
 
 
 def test_a_ramp_is_over_when_its_force_is_there_or_the_time_for_it_is_up() -> None:
-    ramp = ForceRamp.linear(4.0, 10.0, start_n=3.0)
-    time = passed(RampTime(SETTINGS, ramp), 0.11, 3.9)
+    time = passed(RampTime(SETTINGS, ForceRamp.linear(4.0, 10.0, start_n=3.0)), 0.11, 3.9)
     assert time.settled(3.9)
     assert not time.settled(3.0)
     assert passed(time, 0.2, 3.9).settled(3.0)

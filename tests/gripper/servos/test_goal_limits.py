@@ -125,8 +125,7 @@ def test_a_force_above_the_cap_counts_where_it_is_valid_or_more_and_while_it_is_
 def test_a_force_of_before_a_pause_is_no_part_of_the_present_mean(pauses, above) -> None:
     writer, before = make_writer(), ForceSample(t_s=0.0, force_n=(60.0, 60.0))
     writer.note_force(before)
-    later_s = pauses * PAIR.force_stale_s
-    writer.note_force(replace(before, t_s=later_s, force_n=(0.0, 0.0)))
+    writer.note_force(replace(before, t_s=pauses * PAIR.force_stale_s, force_n=(0.0, 0.0)))
     assert writer.force_is_too_high() is above
 
 

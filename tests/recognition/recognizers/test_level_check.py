@@ -80,8 +80,7 @@ def test_objects_with_one_level_share_the_probability_and_close_the_window(rng):
     grasps = [_grasp(PINCH, 0.5, rng, label=label) for label in "ab" for _ in range(8)]
     taught = LevelCheckTrainer().fit(grasps)
     assert taught.levels.window[0] < 0.0
-    values = [taught.measure(grasp)[0] for grasp in grasps]
-    middle = grasps[int(np.argsort(values)[8])]
+    middle = grasps[int(np.argsort([taught.measure(grasp)[0] for grasp in grasps])[8])]
     posterior = taught.posterior(middle)
     assert posterior.unknown < 0.5
     assert posterior.probability.min() > 0.1

@@ -25,8 +25,7 @@ BAD_CHI2 = 40.0
 
 def fit_of(kind: str, normal: Any, truth: Any, mean: Any, sd: Any, *, chi2: float) -> ShapeFit:
     """Fit a linear problem whose data alone say ``truth``."""
-    precision = normal + np.diag(sd**-2)
-    theta = np.linalg.solve(precision, normal @ truth + mean / sd**2)
+    theta = np.linalg.solve(normal + np.diag(sd**-2), normal @ truth + mean / sd**2)
     away = theta - truth
     return ShapeFit(
         model=SHAPE_MODELS[kind],

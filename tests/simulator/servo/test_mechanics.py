@@ -376,8 +376,7 @@ def test_closing_current_gives_the_force_of_the_torque_fit(count: int):
     slope = 0.06 * math.cos(math.asin(0.0148 / 0.06))
     expected_n = (1.769 * 0.6 - 0.2214) / slope * (0.5 if count == 1 else 1.0)
     # Inertia presses a little deeper before the friction locks, in the band of twice the friction.
-    band_n = 2.1 * 0.2214 / slope
-    assert expected_n - 0.2 <= force[0] <= expected_n + band_n
+    assert expected_n - 0.2 <= force[0] <= expected_n + 2.1 * 0.2214 / slope
     assert force[0] == pytest.approx(force[1], rel=0.02)
 
 

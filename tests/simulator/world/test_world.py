@@ -101,8 +101,7 @@ def spread_m(bench: Bench) -> tuple[float, float]:
     force_n = bench.pad_force_n(0).ravel()
     xy_m = bench.layout.taxel_xy_m[bench.layout.taxels_of(bench.layout.gripping_pads[0])]
     weights = force_n / force_n.sum()
-    offset_m = xy_m - weights @ xy_m
-    along_m, across_m = np.sqrt(weights @ offset_m**2)
+    along_m, across_m = np.sqrt(weights @ (xy_m - weights @ xy_m) ** 2)
     return along_m, across_m
 
 

@@ -124,8 +124,7 @@ def test_nothing_is_written_as_html_and_nothing_comes_from_elsewhere() -> None:
 
 
 def test_files_are_served_without_token_and_with_their_headers(serve: Any) -> None:
-    served = serve("http")
-    link = HTTPConnection("127.0.0.1", served.interfaces["http_port"], timeout=20.0)
+    link = HTTPConnection("127.0.0.1", serve("http").interfaces["http_port"], timeout=20.0)
 
     def ask(path: str, **headers: str) -> Any:
         link.request("GET", path, headers=headers)
