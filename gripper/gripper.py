@@ -642,10 +642,14 @@ class Gripper:
         if self._life.fault is not None:
             return
         if carried is not None or self._servos.heats:
-            # The feedback may be old.
-            with suppress(errors.BusTimeout, errors.BusCorrupt):
-                self._servos.read_patiently()
-                self._servos.freeze()
+            try:
+                # A push must not last as long as lost answers are awaited.
+                with self._servos.in_loop():
+                    self._servos.freeze()
+            except errors.BusUnreliable:  # the feedback is old
+                with suppress(errors.BusTimeout, errors.BusCorrupt):
+                    self._servos.read_patiently()
+                    self._servos.freeze()
 
     @contextmanager
     def _command(self, name: str, observer: Observer | None) -> Iterator[bool]:

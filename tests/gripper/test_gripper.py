@@ -110,6 +110,18 @@ def test_each_tick_controls_a_carried_part_until_its_grip_is_kept(cell, force_n:
     assert cell.gripper.release().opened == (1, 2)
 
 
+def test_keep_grip_ends_a_push_before_it_waits_for_lost_answers(cell) -> None:
+    cell.hold_part(RAMP)
+    cell.gripper.hold_at(8.0)
+    goals, state = cell.gripper._servos.goals, cell.gripper.tick().state
+    pushes = [goal._replace(current_a=0.8, rest=goal.lasting) for goal in goals.last]
+    goals.write(pushes, state)
+    cell.peak_n = 0.0
+    cell.device.faults.drop_next = 3
+    cell.gripper.keep_grip()
+    assert cell.peak_n < 9.0
+
+
 @pytest.mark.parametrize(("gain", "valid_s"), [(0.0, 1.0), (0.0, 0.015), (0.3, 0.03), (0.2, 1.0)])
 def test_pads_that_fail_as_a_carry_begins_let_nothing_go(make_cell, gain, valid_s) -> None:
     cell = make_cell(rate_hz=200.0, noise_n=0.1)
