@@ -1,6 +1,7 @@
 """The cell as a service: processes are killed in a grasp, and a supervisor starts them again."""
 
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -48,8 +49,10 @@ def service(
     tmp_path_factory: Any,
 ) -> Iterator[Supervisor]:
     folder = tmp_path_factory.mktemp("service")
+    written = taught.result.model
+    model = shutil.copytree(written.parent, folder / "taught") / written.name
     install = (*PROGRAM, "service", "install", "--apply", "--root", folder,
-               "-c", simulator.config_path, "--model", taught.result.model)  # fmt: skip
+               "-c", simulator.config_path, "--model", model)  # fmt: skip
     subprocess.run(install, input="n\nn\ny\n", text=True, check=True, stdout=subprocess.DEVNULL)
     supervisor = Supervisor(folder / "etc/systemd/system/tactile-cell.service", folder / "notify")
     supervisor.start()

@@ -84,6 +84,7 @@ def test_what_the_page_types_prints_writes_and_packs(tmp_path, monkeypatch) -> N
     (tmp_path / "cell.yaml").write_text("gripper: {port: simulated}")
     monkeypatch.setattr("cell.interfaces.cli.commands.service.load_model", lambda *_: None)
     printed = call(*printing, "--root", image)
+    assert f"--save {tmp_path}/parts.model.npz" in printed
     assert not image.exists()
     for name in WRITTEN:
         assert f"/{name}" in printed
@@ -614,7 +615,8 @@ def test_a_service_that_does_not_start_leaves_no_folder(tmp_path) -> None:
     asked = ["serve", "-c", str(tmp_path / "cell.yaml"), "--http", "0", "--out", str(tmp_path)]
     assert "no terminal to ask at" in str(CliRunner().invoke(app, asked).exception)
     (tmp_path / "cell.yaml").write_text(SMALL.format(zero="never", kind="simulated"))
-    asked += ["--token-file", "nofile"]
+    # The last object was forgotten, and its model removed.
+    asked += ["--model", "m.npz", "--save", "m.npz", "--token-file", "nofile"]
     assert "nofile" in str(CliRunner().invoke(app, asked).exception)
     assert not [*tmp_path.glob("serve-*")]
 

@@ -167,6 +167,9 @@ def serve(
     over = threading.Event()
     if save is None or training_set is not None:
         model = model_of_folder(model)
+    if model is not None and model == save and training_set is None and not model.exists():
+        print_note(f"{model} does not exist: nothing is taught, and the first teaching writes it")
+        model = None
     untaught = config is None and model is None and training_set is None
     files: dict[str, Any] = {"training_set": training_set, "save": save, "folder": folder}
     with ExitStack() as unused:

@@ -285,10 +285,11 @@ def install(
 ) -> None:
     """Print udev rules, system user and systemd unit. Nothing is written without --apply.
 
-    The service is `tactile-cell serve` with this config and model. It starts with the machine and
-    starts again after a crash; a held part stays held.
+    The service is `tactile-cell serve` with this config and model, and saves to it what is taught.
+    It starts with the machine and starts again after a crash; a held part stays held.
     """
-    served_with = () if model is None else ("--model", str(model.resolve()))
+    file = "" if model is None else str(model.resolve())
+    served_with = ("--model", file, "--save", file) if file else ()
     checked = cell_config(config)
     if model is not None:
         load_model(model, pads_of(checked))
