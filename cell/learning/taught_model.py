@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.control.records import GraspRecord, pad_array
-from cell.errors import CellError, CellStateError, ModelError, TrainingSetMissing
+from cell.errors import (
+    CellError,
+    CellStateError,
+    DatasetError,
+    ModelError,
+    TrainingSetMissing,
+    raised_as,
+)
+from cell.files import free_name
 from cell.learning.model import LoadedModel, Trained, check_pads, load_model, save_model
 from cell.learning.shape_reading import shape_reader
 from cell.learning.teaching_summary import Separation, separation
@@ -66,9 +74,13 @@ class TaughtModel:
         self._written: tuple[tuple[Grasp, ...], Path] = ((), Path())
         self._drift_remarked = self._zero_remarked = False
         self._times_ns: dict[Path, int | None] = {}
-        """Times of change in ns of the model files that this program has read or written."""
+        """Times of change in ns of the models, and of the data sets beside them, that this program
+        has read or written."""
         if model is not None:
             self._times_ns[model.path.resolve()] = _changed_ns(model.path)
+            beside = training_set_file(model.path)
+            if str(model.training_set.get("file")) == beside.name:
+                self._times_ns[beside.resolve()] = _changed_ns(beside)
             check_pads(model, self._pads)
             if not _has_trained(model, self.training_set):
                 own, labels = model.training_set.get("file", "its own"), ", ".join(model.labels)
@@ -333,10 +345,10 @@ class TaughtModel:
     def save(self, path: Path | str, *, followed: bool = False) -> None:
         """Write the model file, and its training set if it is available and not written yet.
 
-        The training set goes to ``NAME.grasps.npz`` beside the model. With ``followed`` the model
-        expects the drift followed so far. Raises CellStateError if nothing was taught yet, and
-        ModelError or DatasetError if a file cannot be written, or has changed since this program
-        read or wrote it.
+        The training set goes to ``NAME.grasps.npz`` beside the model; a data set of an earlier
+        model there is renamed. With ``followed`` the model expects the drift followed so far.
+        Raises CellStateError if nothing was taught yet, and ModelError or DatasetError if a file
+        cannot be written, or has changed since this program read or wrote it.
         """
         path, grasps, trained = Path(path), self.training_set, self.check_taught()
         known_ns, now_ns = self._times_ns.get(place := path.resolve()), _changed_ns(path)
@@ -348,8 +360,12 @@ class TaughtModel:
         recognizer, training_set = trained.recognizer, trained.training_set
         if grasps:
             if self._written != (grasps, dataset := training_set_file(path)):
+                if dataset.resolve() not in self._times_ns and dataset.exists():
+                    with raised_as(DatasetError, OSError, where=f"{dataset} cannot be renamed"):
+                        dataset.rename(free_name(dataset))  # it has grasps of an earlier model
                 write_dataset(dataset, grasps)
                 self._written = (grasps, dataset)
+                self._times_ns[dataset.resolve()] = _changed_ns(dataset)
             training_set = training_set_section(dataset, grasps)
         if followed and isinstance(recognizer, DriftFollowing):
             recognizer = recognizer.with_grid(recognizer.grid.with_unnamed_as_gauge())

@@ -263,6 +263,14 @@ def test_a_model_saved_while_an_object_is_forgotten_can_be_loaded(model, tmp_pat
     assert TaughtModel.load(model.config, tmp_path / "m.npz").labels == ("ball", "box")
 
 
+def test_a_data_set_of_an_earlier_model_is_renamed_once(model, tmp_path) -> None:
+    (tmp_path / "m.grasps.npz").write_bytes(b"an earlier model's")
+    for name in ("m.npz", "other.npz", "m.npz"):
+        model.save(tmp_path / name)
+    (kept,) = tmp_path.glob("*.1.npz")
+    assert kept.read_bytes() == b"an earlier model's"
+
+
 @dataclass
 class Nearsighted:
     """A recognizer that takes every second grasp of a pin for a bolt."""
