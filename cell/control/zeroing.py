@@ -198,7 +198,7 @@ class SelfZeros:
         """Save a new self-zero; `unkept` has the reason if its file cannot be written."""
         self._last, self.measured_s = zero, self.now_s()
         self._saved_hand, self.new_hand = self.hand, False
-        self.unkept = self.refused = ""
+        self.refused = ""
         self._write()
 
     def keep_drives(
@@ -245,6 +245,7 @@ class SelfZeros:
             "zero": None if self._last is None else asdict(self._last),
             "drives": {str(servo_id): drive for servo_id, drive in self.drives.items()},
         }
+        self.unkept = ""
         try:
             write_json(self.path, SELF_ZERO, content, error=CellError)
         except CellError as error:

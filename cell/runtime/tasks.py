@@ -198,7 +198,13 @@ class ModelFile:
         before = self.model.labels
         self.model.forget(label, last=last)
         self.due, self._emptied = True, before != () and not self.model.labels
-        self.write()
+        try:
+            self.write()
+        except CellError as error:
+            raise type(error)(
+                f"{label} is forgotten, but its file still has it: {error}; it is tried again with "
+                "the next job and at the end"
+            ) from error
 
 
 @dataclass(slots=True, kw_only=True)

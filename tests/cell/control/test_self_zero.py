@@ -193,6 +193,10 @@ def test_a_zero_that_cannot_be_written_counts_in_its_program(make_bench, tmp_pat
         "could not be saved for other programs: cannot write self-zero"
         in bench.controller.zeroing.note
     )
+    zero_file(tmp_path, config.name).rmdir()
+    bench.controller.zeros.keep_drives({1: DRIVE}, {})
+    assert bench.controller.zeroing.note == ""
+    assert stored_zeros(config, tmp_path, new_hand=False).newest is not None
 
 
 @pytest.mark.usefixtures("made_up_zero")
