@@ -271,6 +271,13 @@ def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(monkeypatch,
     assert (config.self_zero, faulty.self_zero) == ("daily", "on_demand")
 
 
+def test_a_drift_of_the_taxels_since_the_start_is_no_part_between_the_fingers(make_bench) -> None:
+    bench = make_bench(small_config()).start()
+    bench.inject("taxels.offset=2")
+    bench.controller.zeroing.measure()
+    assert bench.life.state is CellState.IDLE
+
+
 def test_fingers_that_cannot_meet_are_gauged(make_bench) -> None:
     bench = make_bench(quick_config(gripper__pads_meet=False)).ready()
     with pytest.raises(PlanRefused, match="calibrate --gauge"):
