@@ -436,7 +436,8 @@ class Zeroing:
     def measure(self) -> ZeroMeasurement:
         """Close the empty fingers on each other and measure the zero of the opening, gains, foam.
 
-        Before, the taxels get a new zero. The grasps that follow include it, so that changes since teaching are corrected.
+        Before, the taxels get a new zero. The grasps that follow include it, so that changes since
+        teaching are corrected.
 
         Raises
         ------

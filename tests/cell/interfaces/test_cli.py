@@ -516,6 +516,8 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
         (2, "run -c {operated}", "name the available objects"),
         (2, "identify -m m.npz --keep perhaps", "--keep"),
         (2, "identify x.npz -m m.npz --keep always", "--keep is for a cell"),
+        (2, "identify -m {model} -c {config} --object ..", "label '..' is blank, of dots"),
+        (2, f"teach {'x' * 61} -o {{made}} -c {{config}}", "at most 60 characters"),
         (2, "teach ball -o x.txt", "the name of a data set ends in .npz"),
         (2, "model train x.npz -o m", "the name of a model file ends in .npz"),
         (2, "recording recover x.mcap -o y.npz", "the name of a recording ends in .mcap"),

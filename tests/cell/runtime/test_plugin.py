@@ -464,7 +464,7 @@ def test_what_was_forgotten_is_removed_once_it_can_be(make_plugin, taught, tmp_p
     plugin.result(plugin.forget("ball"), LIMIT_S)
     path.unlink()
     path.mkdir()  # what cannot be removed
-    with pytest.raises(JobFailed, match="box is forgotten, but .* cannot be removed"):
+    with pytest.raises(JobFailed, match=r"box is forgotten, but .* cannot be removed"):
         plugin.result(plugin.forget("box"), LIMIT_S)
     path.rmdir()
     path.write_bytes(b"a model")

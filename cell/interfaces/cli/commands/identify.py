@@ -22,7 +22,7 @@ from cell.learning.model import load_model
 from cell.learning.shape_reading import NO_SHAPE, after_label, shape_reader
 from cell.learning.training import identify_recorded
 from cell.recording.dataset import read_grasps
-from cell.runtime.goals import IdentifyGoal
+from cell.runtime.goals import IdentifyGoal, checked_goal
 from cell.runtime.tasks import drawn_object
 from recognition.drift.drift import drift_text
 from recognition.recognizer import UNKNOWN
@@ -63,10 +63,13 @@ def identify(
     if follow:
         raise ConfigError("--follow is for recorded grasps: leave it out, or name DATASET")
     load_model(model, pads_of(checked))
-    goal = IdentifyGoal(
-        seed=checked.seed + 1,
-        present=drawn_object(checked) if held is None else held,
-        keep=keep.replace("-", "_"),  # type: ignore[arg-type]
+    goal = checked_goal(
+        {
+            "task": IdentifyGoal.task,
+            "seed": checked.seed + 1,
+            "present": drawn_object(checked) if held is None else held,
+            "keep": keep.replace("-", "_"),
+        }
     )
     trials: list[Identification] = []
     with running_cell(
@@ -81,10 +84,11 @@ def identify(
         start=1,
     ):
         alone = fuse([posterior])
+        no_shape = "no shape" if record.outcome.unreached else NO_SHAPE
         lines.append(
             f"grasp {number}: {alone.name} {percent(alone.name_probability)}"
             + (f" (nearest: {alone.best})" if alone.name == UNKNOWN else "")
-            + (f"; {shape or NO_SHAPE}" if identification.shapes else "")
+            + (f"; {shape or no_shape}" if identification.shapes else "")
             + (f"; {record.ended}" if record.ended else "")
         )
     was = f" (it was {part.presented})" if part.presented else ""

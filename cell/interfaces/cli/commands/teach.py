@@ -13,7 +13,7 @@ from cell.interfaces.cli.session import cell_config, pads_of, running_cell
 from cell.interfaces.cli.terminal import print_line, progress_bar, show
 from cell.learning.drawing import teach_drawing
 from cell.learning.labelled_grasps import append_to_dataset, dataset_to_extend, name_recorded
-from cell.runtime.goals import TeachGoal
+from cell.runtime.goals import TeachGoal, checked_goal
 from cell.simulation import drawn_shape
 
 _GRASPS = 20
@@ -84,7 +84,9 @@ def teach(
         return
     checked = cell_config(config, seed=seed, faults=faults)
     if shape is None:
-        goal = TeachGoal(label=label, grasps=grasps or _GRASPS, present=present, train=False)
+        fields = {"label": label, "grasps": grasps or _GRASPS, "present": present, "train": False}
+        goal = checked_goal({"task": TeachGoal.task} | fields)
+        assert isinstance(goal, TeachGoal)
         _teach_grasps(checked, config, goal, dataset, series, out_folder, json_file)
         return
     if series:
