@@ -66,8 +66,7 @@ def make_files() -> None:
     history = History(Path("jobs/history-press-4.sqlite3"), lambda: status)
     history.update()
     history.close()
-    settings = SimulatorSettings(layout=pinch_layout(), aperture_m=0.03)
-    with SimulatedCell(settings) as cell:
+    with SimulatedCell(SimulatorSettings(layout=pinch_layout(), aperture_m=0.03)) as cell:
         given = {"tactile.interface": "socketcan", "tactile.channel": "can0"}
         bench = Bench(Path("commissioned"), SimulatedLines(cell), given=given)
         Engine(all_steps(), bench).run(Person(cell).script)

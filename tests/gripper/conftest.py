@@ -163,9 +163,8 @@ class SampledForce:
                 max(0.0, self.gain * f + self.offset_n + self._random.gauss(0, self.noise_n))
                 for f in force_n
             )
-            t_s = now_s + self.known["lag_s"]
             sample = ForceSample(
-                t_s=t_s,
+                t_s=now_s + self.known["lag_s"],
                 force_n=(noisy[0], noisy[1]),
                 valid=self.valid,
                 at_least=self.at_least,

@@ -51,8 +51,7 @@ def gone(pid: int) -> bool:
 def run(*arguments: object, code: int = 0) -> str:
     """Run the program to its end with an exit code; return on one line what was said."""
     pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    command = [*PROGRAM, *map(str, arguments)]
-    with subprocess.Popen(command, text=True, **pipes) as process:
+    with subprocess.Popen([*PROGRAM, *map(str, arguments)], text=True, **pipes) as process:
         try:
             with contextlib.suppress(PermissionError):  # it has deadlines of 3 ms
                 os.setpriority(os.PRIO_PROCESS, process.pid, -10)

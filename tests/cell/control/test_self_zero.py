@@ -52,6 +52,7 @@ def test_what_is_measured_is_what_the_hand_is(make_bench) -> None:
     ).ready()
     for bench in (plain, there):
         bench.simulated.remove()
+        bench.inject("taxels.offset=2")  # a drift since the start is no part between the fingers
     here, other = plain.controller.zeroing.measure().zero, there.controller.zeroing.measure().zero
     assert here.opening_m * 1e3 == pytest.approx(0.0, abs=0.15)
     assert other.opening_m * 1e3 == pytest.approx(21 * PULSE_MM, abs=0.15)
@@ -269,13 +270,6 @@ def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(monkeypatch,
     # Faults are for the grasps of a command, not for a self-zero before them.
     faulty = cell_config(None, faults=["servo1.off@contact"])
     assert (config.self_zero, faulty.self_zero) == ("daily", "on_demand")
-
-
-def test_a_drift_of_the_taxels_since_the_start_is_no_part_between_the_fingers(make_bench) -> None:
-    bench = make_bench(small_config()).start()
-    bench.inject("taxels.offset=2")
-    bench.controller.zeroing.measure()
-    assert bench.life.state is CellState.IDLE
 
 
 def test_fingers_that_cannot_meet_are_gauged(make_bench) -> None:

@@ -473,13 +473,11 @@ def test_a_socket_that_takes_nothing_is_cut(serve, monkeypatch) -> None:
 
 def test_the_end_of_the_interface_ends_sockets_and_threads() -> None:
     before = set(threading.enumerate())
-    with ExitStack() as undo:
-        served = undo.enter_context(serving("http"))
-        with Client(served.interfaces).live() as link:
-            link.recv(timeout=20)
-            undo.close()
-            with pytest.raises(ConnectionClosed):
-                deque(link)
+    with ExitStack() as undo, Client(undo.enter_context(serving("http")).interfaces).live() as link:
+        link.recv(timeout=20)
+        undo.close()
+        with pytest.raises(ConnectionClosed):
+            deque(link)
     until(lambda: set(threading.enumerate()) <= before)
 
 

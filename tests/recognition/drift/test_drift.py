@@ -411,13 +411,12 @@ def test_a_self_zero_is_finite_and_in_m(name: str) -> None:
 def zero_of(drift: Drift) -> SelfZero:
     """Return the self-zero of a hand with a drift since that of no drift."""
     first, second = drift.gains
-    gain = math.log(drift.gain)
     return SelfZero(
         opening_m=1e-3 + drift.aperture_offset_m,
         opening_sd_m=1e-4,
         log_gain_ratio=math.log(first / second),
         log_gain_ratio_sd=0.02,
-        log_stiffness=8.0 + gain,
+        log_stiffness=8.0 + math.log(drift.gain),
         log_stiffness_sd=0.2,
     )
 

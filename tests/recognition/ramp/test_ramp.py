@@ -205,7 +205,6 @@ def test_a_taxel_that_sticks_reads_as_those_beside_it():
 
 def test_a_load_that_is_held_all_the_time_is_not_stuck(train):
     rest, whole = learn_rest(train), train[0]
-    held = part(whole, np.full(20, whole.n_frames - 1))
-    assert find_ramp(held, rest).load[-1] == pytest.approx(
+    assert find_ramp(part(whole, np.full(20, whole.n_frames - 1)), rest).load[-1] == pytest.approx(
         (whole.counts[-1] - rest.counts).reshape(2, -1).sum(axis=1)
     )

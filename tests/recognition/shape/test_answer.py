@@ -430,8 +430,7 @@ OTHERS = OWN | {"oval": [np.log(1.5)], "dumbbell": [np.log(1.3), 0.0]}
 
 
 def surface(kind: str, u_m: float, v_m: float) -> tuple[float, float]:
-    model = SHAPE_MODELS[kind]
-    lag_m, share = model.surface(
+    lag_m, share = SHAPE_MODELS[kind].surface(
         np.full((1, 1, 1), 4e-3),
         np.array(OTHERS[kind], dtype=float).reshape(1, -1, 1, 1),
         np.full((1, 1, 1), u_m),

@@ -106,7 +106,6 @@ def test_the_law_is_compressive_and_a_falling_force_shows_more_than_a_rising(wor
 
 def test_the_clock_needs_no_reader() -> None:
     clock = VirtualClock()
-    boards = FlexiTacSettings()
-    with SimulatedCell(SimulatorSettings(layout=LAYOUT, boards=boards), clock) as cell:
+    with SimulatedCell(SimulatorSettings(layout=LAYOUT, boards=FlexiTacSettings()), clock) as cell:
         clock.sleep(3.0)
         assert 65000 < len(cell.devices.boards[0].transmit(clock.monotonic())) <= 65536

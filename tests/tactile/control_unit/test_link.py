@@ -36,7 +36,6 @@ from tactile.source import ForceMessage, PadZero, ScanStatus, SourceStatistics
 from tests.tactile.conftest import Bench
 
 NODE = 5
-FRAMES = 0x180 + NODE
 OVERFLOW = "Synchronous counter overflow value"
 FRAMES_TYPE = (
     "TPDO1 communication parameter.Transmission type (manufacturer-specific: burst after SYNC)"

@@ -288,8 +288,9 @@ def install(
     The service is `tactile-cell serve` with this config and model, and saves to it what is taught.
     It starts with the machine and starts again after a crash; a held part stays held.
     """
-    file = "" if model is None else str(model.resolve())
-    served_with = ("--model", file, "--save", file) if file else ()
+    served_with: tuple[str, ...] = ()
+    if model is not None:
+        served_with = "--model", str(model.resolve()), "--save", str(model.resolve())
     checked = cell_config(config)
     if model is not None:
         load_model(model, pads_of(checked))
