@@ -111,6 +111,7 @@ class EmptyGrip:
                 f"the grasp has ended without a part at an opening of "
                 f"{1e3 * opening_m:.1f} mm, but the force samples show "
                 f"{means_n[0]:.2f} and {means_n[1]:.2f} N, {frames}more than "
-                f"{self._loaded_n:.2f} N on both pads: something may be held. {advice}"
+                f"{self._loaded_n:.2f} N on both pads: something may be held, or the zero of the "
+                f"pads has drifted. {advice}"
             )
         return Action(done=True)
