@@ -170,6 +170,8 @@ def serve(
     if model is not None and model == save and training_set is None and not model.exists():
         print_note(f"{model} does not exist: nothing is taught, and the first teaching writes it")
         model = None
+    if save is None and config is not None:
+        print_note("what is taught is in use until this program ends: --save FILE keeps it")
     untaught = config is None and model is None and training_set is None
     files: dict[str, Any] = {"training_set": training_set, "save": save, "folder": folder}
     with ExitStack() as unused:
