@@ -38,7 +38,7 @@ from cell.interfaces.http_server import REMEDIES, REQUEST_BYTES, HttpServer, ref
 from cell.interfaces.metrics import CONTENT_TYPE, metrics_text
 from cell.interfaces.opening import page_address, qr_code, view_note
 from cell.interfaces.page import mount_page
-from cell.runtime.goals import goal_schema
+from cell.runtime.goals import complaints, goal_schema
 from cell.service.service import Service, plain_data, state_values
 
 _SUBPROTOCOL = "tactile-cell"
@@ -597,10 +597,7 @@ def _refused(_request: Request, error: Exception) -> JSONResponse:
             remedy = CATALOGUE[RequestRefused].remedy if cause is None else REMEDIES[cause]
             return refusal(error.status_code, str(error.detail), remedy, error.headers)
         case RequestValidationError():
-            complaints = "; ".join(
-                f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()
-            )
-            return refusal(422, complaints, CATALOGUE[RequestRefused].remedy)
+            return refusal(422, complaints(error.errors()), CATALOGUE[RequestRefused].remedy)
     status = next((code for kind, code in _STATUS.items() if isinstance(error, kind)), 500)
     why = Refusal.of(error)
     body = {"fault_number": why.number, "error": why.text, "remedy": why.remedy}

@@ -1,6 +1,6 @@
 """Goals of a host's jobs, as values or as mappings, and their checks."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
@@ -161,9 +161,16 @@ def checked_goal(goal: Goal | Mapping[str, Any]) -> Goal:
         checked: Goal = TASKS[task].model_validate(fields)  # type: ignore[assignment]
         return checked
     except ValidationError as error:
-        # Short: Modbus shows 64 characters, and the limit must be among them.
-        complaints = "; ".join(
-            f"{'.'.join(map(str, item['loc']))}: {item['msg'].replace('Input should', 'must')}"
-            for item in error.errors()
-        )
-        raise ConfigError(f"goal {task}: {complaints}") from error
+        raise ConfigError(f"goal {task}: {complaints(error.errors())}") from error
+
+
+def complaints(errors: Iterable[Mapping[str, Any]]) -> str:
+    """Return the errors of pydantic as text, each with its field.
+
+    Short: Modbus shows 64 characters, and the limit must be among them.
+    """
+    return "; ".join(
+        f"{'.'.join(map(str, error['loc']))}: "
+        + error["msg"].removeprefix("Value error, ").replace("Input should", "must")
+        for error in errors
+    )
