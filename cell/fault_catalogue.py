@@ -155,7 +155,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "A part was left there before a self-zero; or a horn slipped.",
         "Look; clear, release, take the part out, reset.", HELD, LET_GO),
     gripper.GripContradicted: Fault(209, "Pads and motors disagree on a part in the grip",
-        "Wrong force messages, pads without signal or with a drifted zero, a contact beside taxels.",
+        "Wrong force messages, pads without signal or with a drifted zero, contact beside taxels.",
         "Look between the fingers; check unit and pads; then release.", HELD, MEND),
     gripper.GraspStopped: Fault(208, "Motion stopped on request",
         "A stop was requested.", "Release or go on.", HELD, STOPPED),
