@@ -40,8 +40,7 @@ def slowness(reference_s: float) -> float:
     show this, so it counts by the load of the last minutes, up to a factor of 2.
     """
     waiting = max(os.getloadavg()[:2]) / (os.cpu_count() or 1)
-    crowded = min(2.0, max(1.0, waiting / USUAL_LOAD))
-    return crowded * max(1.0, reference_s / REFERENCE_LOOP_S)
+    return min(2.0, max(1.0, waiting / USUAL_LOAD)) * max(1.0, reference_s / REFERENCE_LOOP_S)
 
 
 def _used_s() -> float:

@@ -598,8 +598,7 @@ def test_doctor_lists_each_plugin_with_its_package(installed: Install) -> None:
 
 def test_a_servo_of_another_package_is_known_to_the_gripper(installed: Install) -> None:
     installed(servo_models={"XL330-M077": "SERVO", "XL330-again": "SAME"})
-    servos = [{"id": n, "model": "XL330-M077"} for n in (1, 2)]
-    changes = {"servos": servos, "current_max_a": 1.0}
+    changes = {"servos": [{"id": n, "model": "XL330-M077"} for n in (1, 2)], "current_max_a": 1.0}
     assert changed_config(CellConfig().gripper, changes).servos[0].model == "XL330-M077"
     assert models.model_name(1190) == "XL330-M077"
     with pytest.raises(LimitExceeded, match="XL330-M288 with number 1200 exists with other"):

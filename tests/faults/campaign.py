@@ -426,9 +426,8 @@ def error_in_the_mover(row: FaultRow) -> Observed:
     """Teach through the plugin with a robot whose driver raises."""
     broken = raising(ZeroDivisionError("robot driver"))
     with TactileCellPlugin(campaign_config(row.changes), mover=broken) as plugin:
-        job = plugin.start(TeachGoal(label="ball", grasps=3))
         with suppress(JobFailed):
-            plugin.result(job, 30.0)
+            plugin.result(plugin.start(TeachGoal(label="ball", grasps=3)), 30.0)
         status = plugin.status()
         latched = status.state == CellState.ABORTED and status.fault is not None
         return Observed("HOLD" if latched else "NOTHING", 0.0, f"{status.state}: {status.fault}")

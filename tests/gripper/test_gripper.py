@@ -113,13 +113,8 @@ def test_each_tick_controls_a_carried_part_until_its_grip_is_kept(cell, force_n:
 def test_a_stop_while_the_force_falls_does_not_raise_it_again(make_cell) -> None:
     cell = make_cell(rate_hz=200.0, noise_n=0.1, stiffness_n_m=8_000.0)
     cell.hold_part(RAMP)
-
-    def stop(cycle: Cycle) -> None:
-        if cycle.setpoint_n < 5.0:
-            cell.gripper.request_stop()
-
     with pytest.raises(GraspStopped):
-        cell.gripper.hold_at(4.0, observer=stop)
+        cell.gripper.hold_at(4.0, 0.0, lambda c: c.setpoint_n < 5.0 and cell.gripper.request_stop())
     stopped_n, cell.peak_n = cell.force_n, 0.0
     cell.clock.sleep(0.5)
     assert cell.peak_n < stopped_n + 0.3
@@ -129,8 +124,7 @@ def test_keep_grip_ends_a_push_before_it_waits_for_lost_answers(cell) -> None:
     cell.hold_part(RAMP)
     cell.gripper.hold_at(8.0)
     goals, state = cell.gripper._servos.goals, cell.gripper.tick().state
-    pushes = [goal._replace(current_a=0.8, rest=goal.lasting) for goal in goals.last]
-    goals.write(pushes, state)
+    goals.write([goal._replace(current_a=0.8, rest=goal.lasting) for goal in goals.last], state)
     cell.peak_n = 0.0
     cell.device.faults.drop_next = 3
     cell.gripper.keep_grip()

@@ -38,8 +38,7 @@ def test_drifts_out_of_range_are_refused(values):
 def evidence(grid, log_gain, offset_mm, sd=(0.1, 0.5)):
     """Return a Gaussian log likelihood over the hypotheses."""
     gain = -0.5 * ((grid.log_gains - log_gain) / sd[0]) ** 2
-    offset = -0.5 * ((grid.offsets_mm - offset_mm) / sd[1]) ** 2
-    return gain[:, None] + offset
+    return gain[:, None] - 0.5 * ((grid.offsets_mm - offset_mm) / sd[1]) ** 2
 
 
 def test_without_grasps_half_the_weight_is_on_no_drift():

@@ -623,9 +623,8 @@ def test_too_many_old_force_messages_are_a_fault(sending) -> None:
 
 def stall(sending: Bench, monkeypatch: pytest.MonkeyPatch, stall_s: float = 0.057) -> None:
     """Stand still, and then find nothing: the thread that receives stood still, too."""
-    source = sending.link._source
     with monkeypatch.context() as asleep:
-        asleep.setattr(source, "drain", lambda: [])
+        asleep.setattr(sending.link._source, "drain", lambda: [])
         sending.clock.sleep(stall_s)
         sending.link.poll()
 

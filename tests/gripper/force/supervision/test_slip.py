@@ -18,9 +18,8 @@ SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1),))
 def slips(watch: SlipWatch, sample: ForceSample, *, aperture_m: float = 0.01, **held: Any) -> str:
     """Return the sign of a slip in one period at the time of its sample; empty without one."""
     state = make_state(now_s := sample.t_s, aperture_m=aperture_m)
-    moment = Moment(now_s=now_s, dt_s=0.005, state=state, sample=sample)
     try:
-        watch.check(moment, **held)
+        watch.check(Moment(now_s=now_s, dt_s=0.005, state=state, sample=sample), **held)
     except PartSlipped as slip:
         return str(slip)
     return ""
