@@ -44,7 +44,7 @@ class TactileFrame:
     """Number of the scan, modulo 65536. A source without a counter numbers its frames itself."""
     status: int
     """`ScanStatus` bits; 0 from a source without a status."""
-    counts: NDArray[np.uint16]
+    counts: NDArray[np.uint16] = field(repr=False)
     """(n_taxels,) uint16: samples in the order of the layout."""
     extra: NDArray[np.uint16] | None = None
     """(n_taxels, k) uint16: further samples of each taxel, which are only recorded; None without

@@ -21,7 +21,7 @@ from tactile.source import TactileFrame
 class GraspRecord:
     """Record of one grasp of a sequence."""
 
-    grasp: Grasp
+    grasp: Grasp = field(repr=False)
     """Input of the recognizers."""
     step: GraspStep
     """Planned pose and force."""
@@ -29,7 +29,7 @@ class GraspRecord:
     """Pose that the positioner reached."""
     outcome: GraspOutcome
     """Result of the gripper."""
-    cycles: tuple[Cycle, ...]
+    cycles: tuple[Cycle, ...] = field(repr=False)
     """Every period of the force loop, in order."""
     early: Posterior | None = None
     """Answer that ended the ramp early; None for a whole ramp. The grasp continues until the force

@@ -436,8 +436,8 @@ class Zeroing:
     def measure(self) -> ZeroMeasurement:
         """Close the empty fingers on each other and measure the zero of the opening, gains, foam.
 
-        Before, the taxels get a new zero. The grasps that follow include it, so that changes since
-        teaching are corrected.
+        The taxels get a new zero first. The grasps that follow include the measurement, so that
+        changes since teaching are corrected.
 
         Raises
         ------
@@ -454,7 +454,7 @@ class Zeroing:
         self.life.obey_cancel_between()
         self.journal.begin()
         with self.life.executing(Event.EXECUTE):
-            # That of the start may be days old, and a drift of it looks like a part.
+            # The zero of the start may be days old, and its drift looks like a part.
             self.hand.open(self.watch.motion)
             self.taxels = self.hand.tare(self.config.tactile.tare_frames)
             zeroed = self._measure(asked=True)

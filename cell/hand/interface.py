@@ -102,7 +102,7 @@ class LiveValues:
     """Opening between the fingers in mm."""
     temperature_c: float | None = None
     """Temperature of the warmest servo in degrees Celsius."""
-    counts: NDArray[np.uint16] | None = None
+    counts: NDArray[np.uint16] | None = field(default=None, repr=False)
     """(n_taxels,) uint16: raw counts of the newest frame, read-only."""
     frame_age_s: float | None = None
     """Age of the newest frame in s, even if the frame is too old to be shown."""

@@ -77,9 +77,9 @@ class DriveGoals:
         # The newest samples may be those of a fault that is not detected yet.
         self._balances_n.add(state.t_s, max(balance_n, 0.0))
         most_n = self._balances_n.most(since_s=state.t_s - LOOK_BACK_S)
-        # A force that falls as it shall must not grow again: the set-point is not that of a fault.
-        lacking_n = max(balance_n - grip.force_n, 0.0)
-        most_n = min(most_n, max(balance_n, grip.setpoint_n + lacking_n))
+        # Where the set-point has fallen, an earlier drive would make the force grow again.
+        missing_n = max(balance_n - grip.force_n, 0.0)
+        most_n = min(most_n, max(balance_n, grip.setpoint_n + missing_n))
         for index, (servo, path) in enumerate(zip(state.servos, paths, strict=True)):
             model, deepest_rad = grip.settings.servos[index].servo_model, self._deepest_rad[index]
             # A position that drifts open must not move a closing goal to the open side.
