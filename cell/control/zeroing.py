@@ -30,6 +30,7 @@ from gripper.values.servo_checks import VerificationReport
 from gripper.values.state import Cycle, TimeSpan
 from recognition.drift.self_zero import ZeroMeasurement, measure_zero, shows_part
 from recognition.grasp import ZERO_COLUMNS, SelfZero
+from tactile.errors import TareRefused
 from tactile.layout import TaxelLayout
 from tactile.sensor.tare import TareResult
 from tactile.source import SourceIdentity, TactileFrame
@@ -368,6 +369,9 @@ _ATTEMPTS = 3
 _ZERO_FORCE_N, _ZERO_RATE_N_S = 10.0, 5.0
 """Force in N with which the empty fingers press on each other, and its rate in N/s. Two pads of 55
 x 20 mm yield 0.36 mm together, and a ramp of two seconds shows this on each taxel."""
+_ZERO_AGE_S = 1800.0
+"""Age of the zero of the taxels in s from which the next approach takes a new one: sensors drift
+with their temperature, and one count of drift makes taught parts UNKNOWN. [chosen]"""
 _LOOK_FRAMES, _LOOKS_UP_TO_N = 3, 5.0
 """Frames between two checks for a part between the fingers, up to that set-point in N."""
 
@@ -389,6 +393,7 @@ class Zeroing:
     """Homing offset of each servo, by its ID, as of the last start."""
     missed: str = ""
     """Why the last start measured no self-zero; else empty."""
+    _asked_s: float = 0.0
 
     @property
     def note(self) -> str:
@@ -403,10 +408,18 @@ class Zeroing:
         return self.zeros.stored_drives(self.homing)
 
     def open(self) -> None:
-        """Open the fingers; take the zero of a drifting sensor before each approach."""
+        """Open the fingers; take a new zero of a drifting sensor, or where the last one is old."""
         self.hand.open(self.watch.motion)
         if n_frames := self.config.tactile.sensor.fresh_zero_frames:
             self.taxels = self.hand.tare(n_frames)
+            return
+        now_s = self.life.clock.monotonic()
+        if self.taxels and now_s - max(self.taxels.t_s, self._asked_s) > _ZERO_AGE_S:
+            self._asked_s = now_s
+            try:
+                self.taxels = self.hand.tare(self.config.tactile.tare_frames)
+            except TareRefused as refusal:
+                self.journal.note("note", f"the taxels keep their zero: {refusal}")
 
     def start(self) -> None:
         """Open the fingers and take the zero of the taxels; a self-zero follows if it is due.

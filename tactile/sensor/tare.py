@@ -1,7 +1,7 @@
 """The tare: the zero of each taxel from untouched frames, or a refusal. Pure.
 
 A hand on the sensor during the tare makes every later force wrong. So the zero is refused at any
-sign of a touch, and it is never taken or corrected automatically.
+sign of a touch.
 """
 
 from collections.abc import Mapping

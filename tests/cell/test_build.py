@@ -176,8 +176,7 @@ def test_servos_and_noise_are_as_the_config_says() -> None:
     keys |= {"noise_level": 0.5}
     changes = {"tactile.bitrate": 500_000} | {f"simulator.{key}": keys[key] for key in keys}
     settings = simulator_settings(changed_config(CellConfig(), changes))
-    assert settings.noise_level == 0.5
-    assert settings.unit.bitrate == 500_000
+    assert (settings.noise_level, settings.unit.bitrate) == (0.5, 500_000)
     with SimulatedCell(settings) as cell:
         first, second = cell.devices.mechanics.motors
     assert first.figures == data_sheet_drive(first.model)

@@ -49,8 +49,7 @@ def service(
     tmp_path_factory: Any,
 ) -> Iterator[Supervisor]:
     folder = tmp_path_factory.mktemp("service")
-    written = taught.result.model
-    model = shutil.copytree(written.parent, folder / "taught") / written.name
+    model = shutil.copytree(taught.result.model.parent, folder / "taught") / "model.npz"
     install = (*PROGRAM, "service", "install", "--apply", "--root", folder,
                "-c", simulator.config_path, "--model", model)  # fmt: skip
     subprocess.run(install, input="n\nn\ny\n", text=True, check=True, stdout=subprocess.DEVNULL)

@@ -250,6 +250,19 @@ def test_a_command_and_a_job_measure_it_and_doctor_names_it(make_bench, tmp_path
     assert bench.controller.zeros.newest == result
 
 
+def test_an_old_zero_of_free_taxels_is_renewed(make_bench, monkeypatch) -> None:
+    monkeypatch.setattr("cell.control.zeroing._ZERO_AGE_S", 0.0)
+    bench = make_bench(quick_config()).start()
+    zeroing, zero = bench.controller.zeroing, bench.controller.zeroing.taxels
+    bench.inject("taxels.offset=2")
+    bench.simulated.world.press(0, 0.0, 0.0, 3.0)
+    zeroing.open()
+    assert zeroing.taxels is zero
+    bench.simulated.world.lift()
+    zeroing.open()
+    assert (zeroing.taxels.offset_counts - zero.offset_counts).mean() > 1.0
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("made_up_zero")
 def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(monkeypatch, tmp_path) -> None:

@@ -66,8 +66,7 @@ def test_an_error_status_is_an_error_and_never_data(script, bus, error: str) -> 
     script.expect(READ_132, status)
     with pytest.raises(ServoRejected) as refused:
         bus.read(1, PRESENT_POSITION)
-    assert refused.value.code == int(error)
-    assert refused.value.servo_id == 1
+    assert (refused.value.code, refused.value.servo_id) == (int(error), 1)
     script.expect(SYNC_132, status, TWO_IS_2079)
     with pytest.raises(ServoRejected):
         bus.sync_read([1, 2], RegisterBlock(PRESENT_POSITION))

@@ -347,11 +347,8 @@ def test_a_finger_that_moves_alone_shows_the_stiffness_by_its_steps(stands_mm: f
     assert by_steps.log_stiffness_sd < 0.9 * by_both.log_stiffness_sd
 
 
-def test_a_part_between_the_pads_has_another_footprint() -> None:
+def test_a_part_between_the_pads_and_dead_taxels_are_found() -> None:
     assert not measured(bump_mm=6.0).pads_met
-
-
-def test_dead_taxels_are_named() -> None:
     assert measured(dead=(7, 70)).dead == (7, 70)
 
 

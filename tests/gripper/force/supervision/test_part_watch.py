@@ -279,12 +279,9 @@ def periods(*samples_n: float, frame_n: float | None = 0.0, **noise: float) -> l
     return done
 
 
-def test_three_frames_after_the_stop_confirm_that_nothing_is_held() -> None:
+def test_samples_of_after_the_stop_alone_confirm_that_nothing_is_held() -> None:
     assert periods().index(True) == 15, "80 ms after the stop"
     assert periods(frame_n=None).index(True) == 0, "a sensor whose samples come from frames"
-
-
-def test_a_load_measured_before_the_stop_is_waited_for() -> None:
     assert periods(2.0, 2.0, 2.0, frame_n=None).index(True) == 3
 
 

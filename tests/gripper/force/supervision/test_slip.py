@@ -115,11 +115,8 @@ def test_a_centre_of_messages_that_is_noisier_than_stated_is_no_slide(frame_s) -
     assert any(slips(watch, sample, setpoint_n=5.0) for sample in samples) is (frame_s is None)
 
 
-def test_a_slow_slide_is_reported_at_the_largest_way_that_is_allowed() -> None:
+def test_a_slow_slide_is_reported_at_the_largest_way_also_after_a_gap_of_the_samples() -> None:
     assert 0.0014 < slid_m(0.02, 0.0001, speed_m_s=0.001) < 0.0017
-
-
-def test_after_a_gap_of_the_samples_the_first_place_counts() -> None:
     assert slid_m(0.02, 0.0001, speed_m_s=0.0, gap_s=0.5) == 1.0
     assert slid_m(0.02, 0.0001, speed_m_s=0.001, gap_s=0.9) == pytest.approx(0.0019, abs=1e-4)
 
