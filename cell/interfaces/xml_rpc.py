@@ -162,7 +162,7 @@ class Calls:
         return _measured(self._service.plugin.status().live.frame_age_s)
 
     def job_state(self, job: int) -> int:
-        """Return its state: 1 accepted, 2 running, 4 done, 5 held on request, 6 aborted."""
+        """Return its state: 1 accepted, 2 running, 4 done, 5 stopped on request, 6 aborted."""
         return self._service.plugin.job(job).outcome_number
 
     def job_fault(self, job: int) -> int:

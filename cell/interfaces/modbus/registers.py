@@ -100,7 +100,7 @@ VALUES = (
     Value(float, "Temperature of the warmest servo in degrees Celsius",
           "status.live.temperature_c", 22),
     Value(int, "Number of the newest job; 0: none", "job.number", 8),
-    Value(int, "State of the job: 1 accepted, 2 running, 4 done, 5 held on request, 6 aborted",
+    Value(int, "State of the job: 1 accepted, 2 running, 4 done, 5 stopped on request, 6 aborted",
           "job.outcome_number", 9),
     Value(int, "Grasps of the newest part of the job; 0: none", "job.part.n_grasps", 12),
     Value(int, "Job of the last identification, until the next one begins; 0: no answer",
