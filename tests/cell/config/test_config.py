@@ -264,8 +264,7 @@ def spelled(*pads: PadConfig, adc_max: int = 1023) -> TactileConfig:
 
 def test_own_pads_become_a_layout() -> None:
     layout = layout_from_config(spelled(pad(0), pad(0, "tip", 2, 2), pad(1, rows=5)))
-    assert layout.name == "own"
-    assert layout.n_taxels == 12 + 4 + 15
+    assert (layout.name, layout.n_taxels) == ("own", 12 + 4 + 15)
     assert layout.pad_shape.tolist() == [[4, 3], [2, 2], [5, 3]]
     assert layout.gripping_pads == (0, 2)
     assert (layout.adc_max, layout.sample_bits) == (1023, 16)

@@ -26,6 +26,7 @@ from cell.recording.reader import read_recording
 from cell.report.confusion import BASELINE, score, score_tables
 from cell.runtime import tasks
 from cell.runtime.goals import GaugeGoal
+from cell.runtime.main_job import baseline
 from cell.runtime.tasks import Collection, drawn_object
 from cell.runtime.worker import Report
 from gripper.values.outcome import GraspResult
@@ -245,6 +246,7 @@ def test_json_has_what_was_promised(taught) -> None:
     for name in ("recording", "dataset", "model"):
         assert Path(data[name]).is_file()
     assert data["report"] is None
+    assert baseline(BASELINE, ()) == {}, "as default it is trained once"
 
 
 # -- scores ------------------------------------------------------------------------------------

@@ -93,8 +93,7 @@ def test_wilson_interval_of_known_cases():
 
 
 def test_auroc_counts_pairs_in_order():
-    assert auroc([0, 1], [2, 3]) == 1.0
-    assert auroc([0, 2], [1, 3]) == 0.75
+    assert (auroc([0, 1], [2, 3]), auroc([0, 2], [1, 3])) == (1.0, 0.75)
     assert auroc([1, 1], [1, 1]) == 0.5
     assert np.isnan(auroc([], [1]))
     weighted = auroc([0, 2], [1, 3], (np.array([[1, 1], [0, 2]]), np.ones((2, 2))))
