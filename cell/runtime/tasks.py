@@ -175,19 +175,30 @@ class ModelFile:
         self._path = path
         self.due = self._emptied = False
 
-    def write(self) -> None:
+    def write(self, unsaved: str = "") -> None:
         """Write the model if it changed since the last write.
 
         Raises ModelError or DatasetError if a file cannot be written; the write stays pending.
+        Their text begins with ``unsaved``, which says what counts although the file lacks it.
         """
-        if self._path is not None and self.due:
-            if self.model.labels:
-                self.model.save(self._path)
-            elif self._emptied:  # the next start must not find what was forgotten
-                with raised_as(ModelError, OSError, where=f"{self._path} cannot be removed"):
-                    self._path.unlink(missing_ok=True)
-                    training_set_file(self._path).unlink(missing_ok=True)
+        try:
+            if self._path is not None and self.due:
+                self._write(self._path)
+        except CellError as error:
+            if not unsaved:
+                raise
+            raise type(error)(
+                f"{unsaved}: {error}; it is tried again with the next job and at the end"
+            ) from error
         self.due = self._emptied = False
+
+    def _write(self, path: Path) -> None:
+        if self.model.labels:
+            self.model.save(path)
+        elif self._emptied:  # the next start must not find what was forgotten
+            with raised_as(ModelError, OSError, where=f"{path} cannot be removed"):
+                path.unlink(missing_ok=True)
+                training_set_file(path).unlink(missing_ok=True)
 
     def forget(self, label: str, *, last: bool) -> None:
         """Forget a taught object, or its newest grasp with ``last``, and write the model.
@@ -198,13 +209,7 @@ class ModelFile:
         before = self.model.labels
         self.model.forget(label, last=last)
         self.due, self._emptied = True, before != () and not self.model.labels
-        try:
-            self.write()
-        except CellError as error:
-            raise type(error)(
-                f"{label} is forgotten, but its file still has it: {error}; it is tried again with "
-                "the next job and at the end"
-            ) from error
+        self.write(f"{label} is forgotten, but its file still has it")
 
 
 @dataclass(slots=True, kw_only=True)
@@ -315,13 +320,7 @@ class Tasks:
         taught = {"label": goal.label, "n_grasps": n_grasps, "left_out": left_out}
         taught |= asdict(self.model.separation(goal.label))
         report(values | {"taught": taught | {"zero_note": zero_note(self.model.training_set)}})
-        try:
-            self.file.write()
-        except CellError as error:
-            raise type(error)(
-                f"{goal.label} is taught and in use, but not saved: {error}; it is tried again "
-                "with the next job and at the end"
-            ) from error
+        self.file.write(f"{goal.label} is taught and in use, but not saved")
         return len(collection.records)
 
     def gauge(self, goal: GaugeGoal, report: Report) -> Drift:

@@ -289,11 +289,10 @@ def install(
     It starts with the machine and starts again after a crash; a held part stays held.
     """
     served_with: tuple[str, ...] = ()
-    if model is not None:
-        served_with = "--model", str(model.resolve()), "--save", str(model.resolve())
     checked = cell_config(config)
     if model is not None:
         load_model(model, pads_of(checked))
+        served_with = "--model", str(model.resolve()), "--save", str(model.resolve())
     files = system_files(checked, config, served_with)
     changed = False
     if config is not None and not checked.serve.ports:
