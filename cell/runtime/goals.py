@@ -8,6 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from cell.errors import ConfigError
 from cell.files import checked_label
 
+TAUGHT_GRASPS = 20
+"""Default number of grasps that teach an object (docs/decisions/0007)."""
 FEED_MAX = 1000
 """Most objects of a simulated feed."""
 
@@ -43,7 +45,7 @@ class TeachGoal(_PlannedGoal):
     task: ClassVar[str] = "teach"
     label: str = Field(min_length=1, max_length=60)
     """Name of the object."""
-    grasps: int = Field(default=10, ge=1, le=1000)
+    grasps: int = Field(default=TAUGHT_GRASPS, ge=1, le=1000)
     """How many times it is grasped, 1 to 1000."""
     present: str | None = None
     """Object to place, if the positioner can (simulated cell). None: the object of this label, or

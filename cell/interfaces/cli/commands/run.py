@@ -17,6 +17,7 @@ from cell.report.confusion import TABLE_1, TABLE_1_LABELS, ConfusionTable, paper
 from cell.report.page import write_report
 from cell.report.recorded import recorded_report
 from cell.report.shapes import shapes_view
+from cell.runtime.goals import TAUGHT_GRASPS
 from cell.runtime.main_job import MainResult, teach_and_identify
 from cell.simulation import true_sizes
 from recognition.recognizer import UNKNOWN
@@ -32,7 +33,7 @@ def run(
     objects: ObjectsOption = None,
     teach_grasps: Annotated[
         int, options.taught_grasps("Number of grasps to teach for each object.")
-    ] = 20,
+    ] = TAUGHT_GRASPS,
     trials: Annotated[
         int, typer.Option("--trials", min=1, max=1000, metavar="N", help="Trials of each object.")
     ] = 10,

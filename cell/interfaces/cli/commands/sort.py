@@ -12,7 +12,7 @@ from cell.interfaces.cli import options
 from cell.interfaces.cli.session import cell_config, model_of_folder, pads_of, running_cell
 from cell.interfaces.cli.terminal import plain_text, print_note, show
 from cell.learning.model import load_model
-from cell.runtime.goals import FEED_MAX, SortGoal
+from cell.runtime.goals import FEED_MAX, TAUGHT_GRASPS, SortGoal
 from cell.runtime.main_job import teach_objects
 from cell.runtime.tasks import Places, simulated_feed
 
@@ -26,7 +26,7 @@ def sort(
         int | None,
         options.taught_grasps(
             "Teach so many grasps of each simulated object, without the model of this folder "
-            "[default: 20 if there is no model]."
+            f"[default: {TAUGHT_GRASPS} if there is no model]."
         ),
     ] = None,
     model: options.FolderModel = None,
@@ -40,7 +40,7 @@ def sort(
     simulated = checked.brings_objects
     if teach_grasps is None or not simulated:
         model = model_of_folder(model)
-    teach_grasps = teach_grasps or 20
+    teach_grasps = teach_grasps or TAUGHT_GRASPS
     if model is None and not simulated:
         raise ConfigError("--model is missing; `tactile-cell teach` and `model train` make one")
     objects = [entry.label for entry in checked.simulator.objects]

@@ -13,11 +13,8 @@ from cell.interfaces.cli.session import cell_config, pads_of, running_cell
 from cell.interfaces.cli.terminal import print_line, progress_bar, show
 from cell.learning.drawing import teach_drawing
 from cell.learning.labelled_grasps import append_to_dataset, dataset_to_extend, name_recorded
-from cell.runtime.goals import TeachGoal, checked_goal
+from cell.runtime.goals import TAUGHT_GRASPS, TeachGoal, checked_goal
 from cell.simulation import drawn_shape
-
-_GRASPS = 20
-"""Default number of grasps of an object."""
 
 _VIRTUAL_GRASPS = 60
 """Default number of virtual grasps of a drawing."""
@@ -37,7 +34,7 @@ def teach(
             min=1,
             max=1000,
             metavar="N",
-            help=f"Number of grasps [default: {_GRASPS}, of a drawing {_VIRTUAL_GRASPS}].",
+            help=f"Number of grasps [default: {TAUGHT_GRASPS}, of a drawing {_VIRTUAL_GRASPS}].",
         ),
     ] = None,
     shape: Annotated[
@@ -84,7 +81,8 @@ def teach(
         return
     checked = cell_config(config, seed=seed, faults=faults)
     if shape is None:
-        fields = {"label": label, "grasps": grasps or _GRASPS, "present": present, "train": False}
+        count = grasps or TAUGHT_GRASPS
+        fields = {"label": label, "grasps": count, "present": present, "train": False}
         goal = checked_goal({"task": TeachGoal.task} | fields)
         assert isinstance(goal, TeachGoal)
         _teach_grasps(checked, config, goal, dataset, series, out_folder, json_file)
