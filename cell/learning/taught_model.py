@@ -74,13 +74,14 @@ class TaughtModel:
         self._written: tuple[tuple[Grasp, ...], Path] = ((), Path())
         self._drift_remarked = self._zero_remarked = False
         self._times_ns: dict[Path, int | None] = {}
-        """Times of change in ns of the models, and of the data sets beside them, that this program
-        has read or written."""
+        """Times of change in ns of the models that this program has read or written."""
+        self._datasets = set[Path]()
+        """The data sets beside them that this program has read or written."""
         if model is not None:
             self._times_ns[model.path.resolve()] = _changed_ns(model.path)
             beside = training_set_file(model.path)
             if str(model.training_set.get("file")) == beside.name:
-                self._times_ns[beside.resolve()] = _changed_ns(beside)
+                self._datasets.add(beside.resolve())
             check_pads(model, self._pads)
             if not _has_trained(model, self.training_set):
                 own, labels = model.training_set.get("file", "its own"), ", ".join(model.labels)
@@ -102,11 +103,14 @@ class TaughtModel:
         """Read a model file, and its training set if there is one.
 
         ``training_set`` has the grasps that trained it, and perhaps others. By default, and with a
-        note instead of a wrong one, it is the file beside it that the model names.
-        Raises ModelError or DatasetError if a file cannot be read, or does not fit the config.
+        note instead of a wrong one, it is the file beside it that the model names; it is left out
+        with a note if it is damaged. Raises ModelError or DatasetError if another file cannot be
+        read, or does not fit the config.
         """
         model = load_model(path, pad_array(layout_from_config(config.tactile)))
-        grasps = _saved_training_set(model) if training_set is None else read_grasps(training_set)
+        grasps = (
+            _saved_training_set(model, note) if training_set is None else read_grasps(training_set)
+        )
         file = str(model.training_set.get("file"))
         # People change a file that `save` did not write; one of `save` is checked below.
         of_save = file == training_set_file(model.path).name
@@ -122,7 +126,7 @@ class TaughtModel:
                 grasps = ()
             else:
                 note(f"{training_set} did not train {path}: takes the data set beside it, if there")
-                grasps = _saved_training_set(model) or grasps
+                grasps = _saved_training_set(model, note) or grasps
         return cls(config, model, training_set=grasps)
 
     def check_taught(self) -> Trained:
@@ -360,12 +364,12 @@ class TaughtModel:
         recognizer, training_set = trained.recognizer, trained.training_set
         if grasps:
             if self._written != (grasps, dataset := training_set_file(path)):
-                if dataset.resolve() not in self._times_ns and dataset.exists():
+                if dataset.resolve() not in self._datasets and dataset.exists():
                     with raised_as(DatasetError, OSError, where=f"{dataset} cannot be renamed"):
                         dataset.rename(free_name(dataset))  # it has grasps of an earlier model
                 write_dataset(dataset, grasps)
                 self._written = (grasps, dataset)
-                self._times_ns[dataset.resolve()] = _changed_ns(dataset)
+                self._datasets.add(dataset.resolve())
             training_set = training_set_section(dataset, grasps)
         if followed and isinstance(recognizer, DriftFollowing):
             recognizer = recognizer.with_grid(recognizer.grid.with_unnamed_as_gauge())
@@ -392,14 +396,15 @@ def training_set_section(file: Path, grasps: Sequence[Grasp]) -> dict[str, NDArr
     }
 
 
-def _saved_training_set(model: LoadedModel) -> tuple[Grasp, ...]:
-    """Return the training set that was saved with a model, if it is still beside it.
-
-    Raises DatasetError if it cannot be read.
-    """
+def _saved_training_set(model: LoadedModel, note: Callable[[str], None]) -> tuple[Grasp, ...]:
+    """Return the training set that was saved with a model, if it is still beside it and sound."""
     name = str(model.training_set.get("file", ""))
     path = model.path.parent / name
-    return read_grasps(path) if Path(name).name == name and os.path.isfile(path) else ()
+    try:
+        return read_grasps(path) if Path(name).name == name and os.path.isfile(path) else ()
+    except DatasetError as error:
+        note(f"{error}: it is not used, and nothing can be taught or forgotten without it")
+        return ()
 
 
 def _has_trained(model: LoadedModel, grasps: Sequence[Grasp]) -> bool:

@@ -561,6 +561,9 @@ def test_a_model_of_some_objects_of_a_file_takes_only_these_from_it(
     (tmp_path / "again.grasps.npz").unlink()
     third = TaughtModel.load(taught.config, tmp_path / "third.npz")
     assert {name: n for name, (n, _) in third.objects().items()} == {label: 5}
+    (tmp_path / "third.grasps.npz").write_bytes(b"PK")
+    TaughtModel.load(taught.config, tmp_path / "third.npz", note=(notes := list[str]()).append)
+    assert "third.grasps.npz" in notes[0]
 
 
 # -- Ramps that end as soon as the data so far suffice ---------------------------------------------

@@ -40,9 +40,7 @@ REPORTED = {f"{prefix}{name}" for prefix, names in FAMILIES.items() for name in 
 def used() -> set[str]:
     """Return the keys that the page asks for by their whole name."""
     keys = set(re.findall(r'data-t="([^"]+)"', HTML))
-    for quoted in re.findall(r'["`]([a-z_]+(?:\.[A-Za-z_]+)+)["`]', SOURCE):
-        keys.add(quoted)
-    return keys
+    return keys.union(re.findall(r'["`]([a-z_]+(?:\.[A-Za-z_]+)+)["`]', SOURCE))
 
 
 def texts(language: str) -> dict[str, str]:
@@ -69,8 +67,7 @@ def test_a_language_has_the_keys_and_places_of_english(language: str) -> None:
 
 def test_the_page_asks_for_no_text_that_is_missing() -> None:
     keys = all_keys()
-    modules = {path.name for path in FOLDER.iterdir()}
-    asked = {key for key in used() if key not in modules}
+    asked = used() - {path.name for path in FOLDER.iterdir()}
     prefixes = {key.partition(".")[0] for key in keys}
     assert {key for key in asked if key.partition(".")[0] in prefixes} - keys == set()
     assert REPORTED - keys == set()
