@@ -104,13 +104,13 @@ def write_atomically(
         Writes the content to the open binary file.
     error, what
         Raised, with ``what`` in its message, if the disk is full, the folder is missing or not
-        writable, or ``path`` is not a plain file.
+        writable, or ``path`` is not a plain file or write-protected.
     """
     place = Path(os.path.realpath(path))
-    if place.exists() and not place.is_file():
-        raise error(
-            f"cannot write {what} to {path}: not a plain file; move it away, or choose another name"
-        )
+    # A rename would replace a protected file.
+    if place.exists() and not (place.is_file() and place.stat().st_mode & stat.S_IWUSR):
+        why = "write-protected" if place.is_file() else "not a plain file"
+        raise error(f"cannot write {what} to {path}: {why}; move it away, or choose another name")
     part = place.with_name(f".{place.name}.{secrets.token_hex(4)}.part")
     try:
         handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)

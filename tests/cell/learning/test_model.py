@@ -172,8 +172,10 @@ def test_a_model_replaces_no_data_set(learnt, tmp_path) -> None:
     (tmp_path / "m.npz").write_bytes(before.replace(b"PK\x01\x02", b"PK\x01\x03"))  # damaged
     save_model(tmp_path / "m.npz", trained(learnt), PADS)
     os.mkfifo(tmp_path / "pipe.npz")
-    with pytest.raises(ModelError, match="not a plain file"):
-        save_model(tmp_path / "pipe.npz", trained(learnt), PADS)
+    (tmp_path / "m.npz").chmod(0o444)
+    for name, why in (("pipe.npz", "not a plain file"), ("m.npz", "write-protected")):
+        with pytest.raises(ModelError, match=why):
+            save_model(tmp_path / name, trained(learnt), PADS)
 
 
 # -- What a teaching does not show is named, and what a taught model shows of its objects ----------
@@ -472,8 +474,8 @@ def test_a_session_says_each_drift_once_and_takes_it_off_what_is_taught_then(mon
     monkeypatch.setattr("cell.learning.taught_model.train", train)
     grasp = plain_grasp("ball")
     controller = grasping(grasp)
-    config = small_config(recognition__recognizer="level_check")  # one grasp is enough for it
-    model, told = TaughtModel(config), list[Any]()
+    # One grasp is enough for this recognizer.
+    model, told = TaughtModel(small_config(recognition__recognizer="level_check")), list[Any]()
     cell = tasks.Tasks(controller, tasks.ModelFile(model, None))
     report = Report(1, lambda **now: told.append(now))
     cell.teach(TeachGoal(label="ball", grasps=1), report)
