@@ -118,8 +118,8 @@ class Friction:
         friction_nm = base_factor * self.base_nm + abs(
             self.load * load_nm - self.drive * driving_nm
         )
-        opposing = load_nm * driving_nm < 0.0 and abs(load_nm) < abs(driving_nm)
-        if self.load_quadratic_per_nm and opposing:
+        opposing = self.load_quadratic_per_nm and load_nm * driving_nm < 0.0
+        if opposing and abs(load_nm) < abs(driving_nm):
             share = math.exp(-abs(speed_rad_s) / _STRIBECK_RAD_S)
             friction_nm += share * self.load_quadratic_per_nm * load_nm * load_nm
         return friction_nm

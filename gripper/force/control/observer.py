@@ -163,7 +163,7 @@ class GripObserver:
         if self.speed_m_s == 0.0 and error_m**2 > SURE_SDS**2 * (self._p[3, 3] + self._way_m2):
             # The fingers have moved although friction should lock them.
             moved = np.array((self.stiffness_n_m, 0.0, 0.0, 1.0, 0.0))
-            self._p += np.outer(moved, moved) * error_m**2
+            self._p += moved[:, None] * moved * error_m**2
         before_m = self._way_m
         self._correct(_WAY, error_m, self._way_m2)
         # The force has followed the way by the stiffness, with its uncertainty.
@@ -197,8 +197,8 @@ class GripObserver:
         self.speed_m_s += speed_m_s
         self.missing_n += missing_n
         self._way_m += way_m
-        left = _IDENTITY - np.outer(gains, of)
-        self._p = left @ self._p @ left.T + noise2 * np.outer(gains, gains)
+        left = _IDENTITY - gains[:, None] * of
+        self._p = left @ self._p @ left.T + noise2 * (gains[:, None] * gains)
 
     def _take_stiffness(self) -> None:
         """Take the middle of the bounds of the stiffness, and their width as its uncertainty."""

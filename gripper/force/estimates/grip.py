@@ -2,7 +2,6 @@
 
 from collections import deque
 from dataclasses import dataclass, field
-from itertools import takewhile
 from math import inf, sqrt
 
 from gripper.dynamixel.drive import SIGMAS
@@ -57,8 +56,8 @@ class History:
 
     def most(self, *, since_s: float) -> float:
         """Return the largest value since a time in s, at least the newest one."""
-        recent = takewhile(lambda entry: entry[0] >= since_s, reversed(self._entries))
-        return max([self.newest, *[value + self._shift for _, value in recent]])
+        recent = [value for then_s, value in self._entries if then_s >= since_s]
+        return max(recent, default=self._entries[-1][1]) + self._shift
 
     def shift(self, by: float) -> None:
         """Add ``by`` to all values."""
