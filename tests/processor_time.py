@@ -68,8 +68,7 @@ class ProcessorTime:
         start_s = _used_s()
         result = yield
         own_s = _used_s() - start_s
-        exempt = any(item.get_closest_marker(name) for name in EXEMPT)
-        if own_s > TEST_LIMIT_S and not exempt:
+        if own_s > TEST_LIMIT_S and not any(item.get_closest_marker(name) for name in EXEMPT):
             limit_s = TEST_LIMIT_S * slowness(loop_s())
             if own_s > limit_s:
                 pytest.fail(

@@ -69,9 +69,8 @@ def test_force_that_one_pad_shows_alone_lowers_the_currents(make_cell, lost, sil
 
 def test_the_other_finger_stands_still_when_a_servo_drops_its_torque(cell) -> None:
     cell.hold_part(RAMP)
-    observe = cell.once(cell.servos[1].plant.overload, in_s=0.5)
     with pytest.raises(errors.ServoFault, match="overload") as fault:
-        cell.gripper.hold(2.0, observe)
+        cell.gripper.hold(2.0, cell.once(cell.servos[1].plant.overload, in_s=0.5))
     assert fault.value.torque_lost
     assert cell.clock.monotonic() - cell.acted_s[0] < 0.02
     # The goal is where the finger was, not beyond: it pushes nothing ahead of itself.

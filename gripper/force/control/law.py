@@ -50,9 +50,9 @@ the noise of a mean. Against the direction, through the whole friction, this one
 [chosen]"""
 _NEAR_N = 0.03
 """Distance in N from its end at which a motion stops. [chosen]"""
-_BRAKE_SHARE = 0.5
-"""Share of the friction by which a drive brakes beside the friction itself, and by which that of a
-carried part may grow: no finger moves by it. [chosen]"""
+LOCKED_SHARE = 0.5
+"""Share of the friction that starts no finger: by it a drive brakes beside the friction itself,
+that of a carried part may grow, and one that stays after an error exceeds the force. [chosen]"""
 _STRONGER, _WEAKER = 1.15, 0.98
 """Factors on the assumed stiction after a push without, and with, effect. [chosen]"""
 _LEAST_OPENING_SHARE = 0.3
@@ -249,7 +249,7 @@ class ForceLaw:
         force_n = observer.force_n + observer.stiffness_n_m * way_m
         balance_n = force_n + observer.missing_n
         if not period.carried:
-            self._carried_n = balance_n + _BRAKE_SHARE * period.friction_n
+            self._carried_n = balance_n + LOCKED_SHARE * period.friction_n
         grip.force_n, grip.balance_n = observer.force_n, min(balance_n, self._carried_n)
         self._balance_n = grip.balance_n
         # Beyond its cap a push would not start the fingers, and their rest would show nothing.
@@ -333,12 +333,12 @@ class ForceLaw:
         ends = sign * error_n <= _NEAR_N + stopping_n and plan.rate_n_s == 0.0
         if sign * wanted_m_s <= 0.0 or ends:
             slow = abs(speed_m_s) * stiffness * _FORCE_S <= _NEAR_N
-            return 0.0 if slow else -sign * _BRAKE_SHARE * friction_n
+            return 0.0 if slow else -sign * LOCKED_SHARE * friction_n
         if not self._goes_on(period, sample, sign * error_n):
             return 0.0
         accelerates = plan.rate_change_n_s2 / stiffness + (wanted_m_s - speed_m_s) / _SPEED_S
         push_n = friction_n + sign * mass_kg * accelerates
-        return sign * max(push_n, -_BRAKE_SHARE * friction_n)
+        return sign * max(push_n, -LOCKED_SHARE * friction_n)
 
     def _goes_on(self, period: Period, sample: ForceSample, short_n: float) -> bool:
         """Return whether a motion goes on that a push has started.

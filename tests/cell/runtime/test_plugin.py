@@ -429,9 +429,8 @@ def test_a_file_that_was_not_loaded_is_never_the_one_to_save_to(
     make_plugin: Any, taught: Any, tmp_path: Path, existing: str, loaded: bool
 ) -> None:
     (tmp_path / existing).write_bytes(b"the work of a day")
-    model = taught.result.model if loaded else None
     with pytest.raises(ConfigError, match=rf"{existing} exists, .* load it \(`--model .*m.npz`\)"):
-        make_plugin(model=model, save=tmp_path / "m.npz")
+        make_plugin(model=taught.result.model if loaded else None, save=tmp_path / "m.npz")
     assert (tmp_path / existing).read_bytes() == b"the work of a day"
 
 

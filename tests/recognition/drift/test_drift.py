@@ -98,9 +98,8 @@ def test_it_comes_back_from_arrays_without_what_was_followed():
     again = DriftGrid.from_arrays(grid.with_unnamed(evidence(grid, 0.3, -2.0), 0).to_arrays())
     assert np.array_equal(again.weight, grid.weight)
     assert again.values == grid.values
-    broken = {**grid.to_arrays(), "gauged": np.zeros((3, 4))}
     with pytest.raises(ValueError, match="shape"):
-        DriftGrid.from_arrays(broken)
+        DriftGrid.from_arrays({**grid.to_arrays(), "gauged": np.zeros((3, 4))})
 
 
 # -- The spread between days is learnt from what all objects of a day have in common ---------------

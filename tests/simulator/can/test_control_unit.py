@@ -306,8 +306,7 @@ def test_a_touch_counts_within_a_few_scans_and_ends_with_the_load() -> None:
 
 def test_a_touch_on_both_pads_counts_sooner_than_one_on_a_single_pad() -> None:
     one = dict.fromkeys((20, 21, 24, 25, 28, 29), 0.05)
-    n_first = Unit(*LAYOUTS[0]).n // 2
-    both = one | {n_first + taxel: force_n for taxel, force_n in one.items()}
+    both = one | {(Unit(*LAYOUTS[0]).n // 2) + taxel: force_n for taxel, force_n in one.items()}
 
     def counts_after(touch: dict[int, float]) -> int:
         unit = Unit(*LAYOUTS[0])

@@ -114,8 +114,7 @@ GEARINGS = {"rigid": PATHS, "lossy": (Transmission(LOSSY, PATHS[0].radius_m),) *
 def test_the_force_follows_a_ramp_and_holds(start_n, end_n, rate_n_s, gearing) -> None:
     grip, setpoints_n = Grip(start_n, paths=GEARINGS[gearing]), ramp(start_n, end_n, rate_n_s)
     forces_n = grip.follow(setpoints_n)
-    sign = 1.0 if end_n > start_n else -1.0
-    assert max(sign * (force_n - end_n) for force_n in forces_n) < 0.6
+    assert max((1.0 if end_n > start_n else -1.0) * (force_n - end_n) for force_n in forces_n) < 0.6
     assert forces_n[-60:] == pytest.approx([end_n] * 60, abs=0.3)
     if rate_n_s == 3.0:
         assert forces_n == pytest.approx(setpoints_n, abs=0.6)
@@ -264,6 +263,14 @@ def test_no_finger_is_driven_open_beyond_the_touch() -> None:
     assert not goals.may_open
     first_goal(goals, -30.0, 0.1)
     assert goals.may_open
+
+
+def test_an_opening_goal_without_a_further_one_does_not_let_the_part_go() -> None:
+    grip = make_grip(8.0, standing(0.2).aperture_m)
+    grip.stiffness.stiffness_n_m = 5e3
+    opened_rad, _ = first_goal(DriveGoals(grip, standing(0.2)), -30.0, 0.1)
+    opened_m = LINKAGE.aperture_m((opened_rad,) * 2) - standing(0.1).aperture_m
+    assert 0.6 * 8.0 < 5e3 * opened_m < 8.0
 
 
 # -- Stiffness of a part by its samples ------------------------------------------------------------
