@@ -294,11 +294,16 @@ def part_between(outcome: GraspOutcome, zeroed: ZeroMeasurement | None = None) -
     `Hand.press_pads_together` ends early if the opening or the first footprints show a part;
     ``zeroed`` is the measurement at its end.
     """
-    lost = outcome.result is GraspResult.PART_LOST
-    if not (outcome.ended_early or lost or (zeroed is not None and not zeroed.pads_met)):
+    at_mm = _mm(outcome.final_aperture_m)
+    if outcome.result is GraspResult.PART_LOST:
+        return (
+            f"the fingers pressed on each other no longer, at {at_mm} mm: something has slipped "
+            f"out of them, or a pad failed for a moment"
+        )
+    if not (outcome.ended_early or (zeroed is not None and not zeroed.pads_met)):
         return ""
     return (
-        f"the empty fingers did not meet: they stopped at {_mm(outcome.final_aperture_m)} mm, "
+        f"the empty fingers did not meet: they stopped at {at_mm} mm, "
         f"something is between them. If nothing is, a pad is damaged or the zero is wrong, for "
         f"example by a tooth of a horn"
     )
