@@ -7,7 +7,7 @@ from gripper.dynamixel.models import ServoModel
 from gripper.force.approach.approach import Approach
 from gripper.force.certainty import RECOVERED_S
 from gripper.force.control.law import LOCKED_SHARE, ForceLaw, Period
-from gripper.force.estimates.grip import KNOWN_N, SOFTEST_N_M, Grip, History
+from gripper.force.estimates.grip import KNOWN_N, Grip, History
 from gripper.force.loop import Moment
 from gripper.force.supervision.part_watch import PartWatch
 from gripper.force.supervision.slip import SlipWatch
@@ -26,8 +26,8 @@ GIVE_RAD = 0.03
 """Largest opening of a goal beyond the contact in rad: pads and part are not deeper. [assumed]"""
 
 _OPENS_SHARE = 0.8
-"""Share of the force that an opening goal can take: without a further goal the part stays held. At
-0.9 a pause of 30 ms drops a box from an RH-P12-RN. [tuned]"""
+"""Share of the force that an opening goal can take, once the set-point has fallen: without another
+goal the part stays held. At 0.9 a pause of 30 ms drops a box from an RH-P12-RN. [tuned]"""
 
 
 class DriveGoals:
@@ -48,6 +48,7 @@ class DriveGoals:
         self._least_rad = most_closed_rad(grip.mechanics)
         self._stop_rad: tuple[float, ...] | None = None
         self._balances_n = History()
+        self._most_setpoint_n = 0.0
 
     @property
     def may_open(self) -> bool:
@@ -80,10 +81,11 @@ class DriveGoals:
         # Where the set-point has fallen, an earlier drive would make the force grow again.
         missing_n = max(balance_n - grip.force_n, 0.0)
         most_n = min(most_n, max(balance_n, grip.setpoint_n + missing_n))
-        n_per_rad = (grip.stiffness.stiffness_n_m or SOFTEST_N_M) * sum(
-            map(grip.mechanics.linkage.opening_per_rad_m, state.angles_rad)
-        )
-        opens_rad = _OPENS_SHARE * grip.force_n / n_per_rad
+        opens_rad, self._most_setpoint_n = inf, max(self._most_setpoint_n, grip.setpoint_n)
+        # A heavy gripper corrects the overshoot of its first ramp with all of its drive.
+        if grip.setpoint_n < self._most_setpoint_n and grip.stiffness.stiffness_n_m:
+            reach_m = sum(map(grip.mechanics.linkage.opening_per_rad_m, state.angles_rad))
+            opens_rad = _OPENS_SHARE * grip.force_n / (grip.stiffness.stiffness_n_m * reach_m)
         for index, (servo, path) in enumerate(zip(state.servos, paths, strict=True)):
             model, deepest_rad = grip.settings.servos[index].servo_model, self._deepest_rad[index]
             # A position that drifts open must not move a closing goal to the open side.

@@ -47,9 +47,8 @@ def test_factory_values(model):
 def test_what_a_write_is_answered(bench, address: int, size: int, value: int, error: int):
     before = bench.servos[0].registers.data[:120]
     assert bench.write(1, address, size, value) == error
-    after = bench.servos[0].registers.data[:120]
     if error:
-        assert after == before
+        assert bench.servos[0].registers.data[:120] == before
     else:
         assert bench.read(1, address, size) == value % (1 << 8 * size)
 

@@ -319,9 +319,8 @@ def test_a_drawn_servo_is_near_its_data_sheet(model):
     left_nm, load = driving_nm * (1.0 - law.drive) - law.base_nm, 1.0 + law.load
     # Load and its square are what is left: load x + quadratic x² = left.
     root = math.sqrt(load * load + 4.0 * law.load_quadratic_per_nm * left_nm)
-    stall_nm = 2.0 * left_nm / (load + root)
     # The vendor's stall torque of an XL330 is 1.4 to 1.8 times that of its logs.
-    assert 0.5 < stall_nm / model.stall_torque_nm < 1.05
+    assert 0.5 < 2.0 * left_nm / (load + root) / model.stall_torque_nm < 1.05
 
 
 # -- Fingers ---------------------------------------------------------------------------------------
