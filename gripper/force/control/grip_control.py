@@ -26,8 +26,8 @@ GIVE_RAD = 0.03
 """Largest opening of a goal beyond the contact in rad: pads and part are not deeper. [assumed]"""
 
 _OPENS_SHARE = 0.8
-"""Share of the force that an opening goal can take, once the set-point has fallen: without another
-goal the part stays held. At 0.9 a pause of 30 ms drops a box from an RH-P12-RN. [tuned]"""
+"""Share of the force that an opening goal can take after the first ramp: without another goal the
+part stays held. At 0.9 a pause of 30 ms drops a box from an RH-P12-RN. [tuned]"""
 
 
 class DriveGoals:
@@ -48,7 +48,9 @@ class DriveGoals:
         self._least_rad = most_closed_rad(grip.mechanics)
         self._stop_rad: tuple[float, ...] | None = None
         self._balances_n = History()
-        self._most_setpoint_n = 0.0
+        self.keeps = False
+        """Whether one opening goal must not let the part go. A heavy gripper corrects the overshoot
+        of its first ramp with all of its drive."""
 
     @property
     def may_open(self) -> bool:
@@ -81,9 +83,8 @@ class DriveGoals:
         # Where the set-point has fallen, an earlier drive would make the force grow again.
         missing_n = max(balance_n - grip.force_n, 0.0)
         most_n = min(most_n, max(balance_n, grip.setpoint_n + missing_n))
-        opens_rad, self._most_setpoint_n = inf, max(self._most_setpoint_n, grip.setpoint_n)
-        # A heavy gripper corrects the overshoot of its first ramp with all of its drive.
-        if grip.setpoint_n < self._most_setpoint_n and grip.stiffness.stiffness_n_m:
+        opens_rad = inf
+        if self.keeps and grip.stiffness.stiffness_n_m:
             reach_m = sum(map(grip.mechanics.linkage.opening_per_rad_m, state.angles_rad))
             opens_rad = _OPENS_SHARE * grip.force_n / (grip.stiffness.stiffness_n_m * reach_m)
         for index, (servo, path) in enumerate(zip(state.servos, paths, strict=True)):
@@ -184,9 +185,10 @@ class GripControl:
         return samples.grip_n if samples else self.grip.force_n
 
     def resume(self) -> None:
-        """Begin again after a pause: samples from before it are discarded."""
+        """Begin again after the first ramp or a pause: samples from before it are discarded."""
         self.watch.resume()
         self._law.resume()
+        self._goals.keeps = True
 
     def begin_again(self, state: ServoFeedback) -> None:
         """Begin the law at the present force and opening: others have moved the fingers."""
