@@ -166,9 +166,8 @@ def test_fingers_on_their_way_stop_where_they_are(make_cell, command, how) -> No
 
 def test_a_finger_next_to_a_silent_servo_follows_no_error_of_its_encoder(make_started) -> None:
     cell = make_started(aperture_m=0.03)
-    observe = cell.once(lambda: cell.device.faults.silent.add(1), in_s=0.2)
     with pytest.raises(errors.FingerSilent):
-        cell.gripper.grasp(RAMP, observe)
+        cell.gripper.grasp(RAMP, cell.once(lambda: cell.device.faults.silent.add(1), in_s=0.2))
     stood_m = cell.mechanics.finger_position_m[1]
     cell.motors[1].encoder_offset_rad = 0.3
     cell.clock.sleep(0.5)

@@ -187,6 +187,7 @@ class GripControl:
     def resume(self) -> None:
         """Begin again after the first ramp or a pause: samples from before it are discarded."""
         self.watch.resume()
+        self.grip.stiffness.end()
         self._law.resume()
         self._goals.keeps = True
 

@@ -92,6 +92,7 @@ class StiffnessEstimate:
         """Growth of the grip force for each m of closing; None before it was measured."""
         self.bounds_n_m = SOFTEST_N_M, STIFFEST_N_M
         """Least and largest stiffness by the resolution of the opening."""
+        self._most_n_m = STIFFEST_N_M
 
     def push(self, moment: Moment) -> None:
         """Add the present opening and the newest sample, which may be the same as before."""
@@ -149,9 +150,14 @@ class StiffnessEstimate:
         self.bounds_n_m = least_n_m, most_n_m
 
     def allow_harder(self) -> None:
-        """Raise the upper bound."""
+        """Raise the upper bound for a travel that is to follow."""
+        least_n_m, self._most_n_m = self.bounds_n_m
+        self.bounds_n_m = least_n_m, min(_HARDENS * self._most_n_m, STIFFEST_N_M)
+
+    def end(self) -> None:
+        """Take the bounds of the travel so far: what follows is within it."""
         least_n_m, most_n_m = self.bounds_n_m
-        self.bounds_n_m = least_n_m, min(_HARDENS * most_n_m, STIFFEST_N_M)
+        self.bounds_n_m = least_n_m, max(least_n_m, min(most_n_m, self._most_n_m))
 
 
 @dataclass(slots=True, kw_only=True)

@@ -122,9 +122,8 @@ def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(taught, tmp
     assert told[-1]["gauged"] == {"label": "ball", "before": before, "after": reported}
     assert model.drift.drift == gauged
     assert load_model(path).recognizer.grid.drift == gauged  # type: ignore[attr-defined]
-    boxes = [grasp for grasp in taught.grasps if grasp.label == "box"]
     with pytest.raises(CellError, match="with ball: these grasps are more like box"):
-        model.gauge("ball", boxes)
+        model.gauge("ball", [grasp for grasp in taught.grasps if grasp.label == "box"])
     again = gauge(Drift())
     assert told[-1]["gauged"]["before"] == reported
     assert again.gain == pytest.approx(1.0, rel=0.1)

@@ -244,9 +244,8 @@ def test_what_cannot_gauge_says_why(taught, fresh):
         taught.gauge("ghost", fresh)
     with pytest.raises(ValueError, match="touched both pads"):
         taught.gauge("egg", [])
-    missed = dataclasses.replace(fresh[0], counts=np.zeros_like(fresh[0].counts))
     with pytest.raises(ValueError, match="touched both pads"):
-        taught.gauge("egg", [missed])
+        taught.gauge("egg", [dataclasses.replace(fresh[0], counts=np.zeros_like(fresh[0].counts))])
 
 
 # -- Self-zero from made-up frames -----------------------------------------------------------------

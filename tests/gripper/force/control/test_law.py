@@ -212,15 +212,13 @@ def standing(angle_rad: float) -> ServoFeedback:
 
 
 def first_goal(goals: DriveGoals, drive_n: float, angle_rad: float) -> tuple[float, float]:
-    state = standing(angle_rad)
     goals._grip.drive_n = drive_n
-    made = goals.goals(state)
-    return made[0].angle_rad, made[0].current_a
+    first, _ = goals.goals(standing(angle_rad))
+    return first.angle_rad, first.current_a
 
 
 def test_the_side_of_the_goal_is_the_sign_of_the_drive() -> None:
-    contact = standing(0.1)
-    goals = DriveGoals(make_grip(touch_m=contact.aperture_m), contact)
+    goals = DriveGoals(make_grip(touch_m=standing(0.1).aperture_m), standing(0.1))
     closing_rad, closing_a = first_goal(goals, 4.0, 0.09)
     opening_rad, opening_a = first_goal(goals, -4.0, 0.09)
     assert closing_rad < 0.09 < opening_rad
@@ -254,8 +252,7 @@ def test_a_position_that_drifts_open_does_not_take_a_closing_goal_with_it() -> N
 
 
 def test_no_finger_is_driven_open_beyond_the_touch() -> None:
-    contact = standing(0.1)
-    goals = DriveGoals(make_grip(touch_m=standing(0.1 + 0.5 * GIVE_RAD).aperture_m), contact)
+    goals = DriveGoals(make_grip(touch_m=standing(0.1 + 0.5 * GIVE_RAD).aperture_m), standing(0.1))
     assert first_goal(goals, -30.0, 0.1)[0] == pytest.approx(0.1 + GIVE_RAD)
     assert goals.may_open
     beyond_rad = 0.1 + 0.6 * GIVE_RAD
@@ -306,3 +303,11 @@ def test_the_true_stiffness_is_within_its_bounds_but_for_the_noise(n_m, rate_hz)
         # Two standard deviations of the noise are exceeded sometimes.
         assert 0.5 * least_n_m <= n_m <= 2.0 * most_n_m
         assert n_m < 1e4 or least_n_m > 1e3, "a hard part is not soft"
+
+
+def test_what_follows_a_ramp_is_as_stiff_as_its_travel() -> None:
+    (estimate := pressed(4000.0, 50.0, 0.0)).end()
+    before_n_m = estimate.bounds_n_m
+    estimate.allow_harder()
+    estimate.end()
+    assert estimate.bounds_n_m == before_n_m
