@@ -167,7 +167,8 @@ def _advice(cause: OSError, place: Path) -> str:
     if cause.errno == errno.ENOENT:
         return f"the folder {place.parent} does not exist; make it first"
     if cause.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        return f"{place.parent} is not writable ({cause.strerror}); choose another folder"
+        why = cause.strerror
+        return f"{place.parent} is not writable ({why}); make it so, or choose another folder"
     return f"{cause.strerror or cause}"
 
 

@@ -74,14 +74,13 @@ class TaughtModel:
         self._written: tuple[tuple[Grasp, ...], Path] = ((), Path())
         self._drift_remarked = self._zero_remarked = False
         self._times_ns: dict[Path, int | None] = {}
-        """Times of change in ns of the models that this program has read or written."""
-        self._datasets = set[Path]()
-        """The data sets beside them that this program has read or written."""
+        """Times of change in ns of the models, and of the data sets beside them, that this program
+        has read or written."""
         if model is not None:
             self._times_ns[model.path.resolve()] = _changed_ns(model.path)
             beside = training_set_file(model.path)
             if str(model.training_set.get("file")) == beside.name:
-                self._datasets.add(beside.resolve())
+                self._times_ns[beside.resolve()] = _changed_ns(beside)
             check_pads(model, self._pads)
             if not _has_trained(model, self.training_set):
                 own, labels = model.training_set.get("file", "its own"), ", ".join(model.labels)
@@ -349,37 +348,42 @@ class TaughtModel:
     def save(self, path: Path | str, *, followed: bool = False) -> None:
         """Write the model file, and its training set if it is available and not written yet.
 
-        The training set goes to ``NAME.grasps.npz`` beside the model; a data set of an earlier
+        The training set goes to ``NAME.grasps.npz`` beside the model; a data set of another
         model there is renamed. With ``followed`` the model expects the drift followed so far.
         Raises CellStateError if nothing was taught yet, and ModelError or DatasetError if a file
         cannot be written, or has changed since this program read or wrote it.
         """
         path, grasps, trained = Path(path), self.training_set, self.check_taught()
-        known_ns, now_ns = self._times_ns.get(place := path.resolve()), _changed_ns(path)
-        if known_ns is not None and now_ns not in (None, known_ns):
-            raise ModelError(
-                f"another program wrote {path} since this one did: one cell, one model file. Move "
-                "that file away, or save under another name"
-            )
+        self.check_unchanged(path)
         recognizer, training_set = trained.recognizer, trained.training_set
         if grasps:
             if self._written != (grasps, dataset := training_set_file(path)):
-                if dataset.resolve() not in self._datasets and dataset.exists():
+                there_ns = _changed_ns(dataset)
+                if there_ns is not None and there_ns != self._times_ns.get(dataset.resolve()):
                     with raised_as(DatasetError, OSError, where=f"{dataset} cannot be renamed"):
-                        dataset.rename(free_name(dataset))  # it has grasps of an earlier model
+                        dataset.rename(free_name(dataset))  # it has grasps of another model
                 write_dataset(dataset, grasps)
                 self._written = (grasps, dataset)
-                self._datasets.add(dataset.resolve())
+                self._times_ns[dataset.resolve()] = _changed_ns(dataset)
             training_set = training_set_section(dataset, grasps)
         if followed and isinstance(recognizer, DriftFollowing):
             recognizer = recognizer.with_grid(recognizer.grid.with_unnamed_as_gauge())
         trained = replace(trained, recognizer=recognizer, training_set=training_set)
         save_model(path, trained, self._pads)
-        self._times_ns[place] = _changed_ns(path)
+        self._times_ns[path.resolve()] = _changed_ns(path)
+
+    def check_unchanged(self, path: Path) -> None:
+        """Raise ModelError if another program wrote the model file since this one did."""
+        known_ns, now_ns = self._times_ns.get(path.resolve()), _changed_ns(path)
+        if known_ns is not None and now_ns not in (None, known_ns):
+            raise ModelError(
+                f"another program wrote {path} since this one did: one cell, one model file. Move "
+                "that file away, or save under another name"
+            )
 
 
 def _changed_ns(path: Path) -> int | None:
-    return path.stat().st_mtime_ns if path.exists() else None
+    return path.stat().st_mtime_ns if path.is_file() else None
 
 
 def training_set_file(model: Path) -> Path:

@@ -250,8 +250,8 @@ class Recorder:
 
     def _stopped(self, reason: str) -> RecordingError:
         return RecordingError(
-            f"the recording {self.path} stopped after {self._n_frames} frames: {reason}; free "
-            "space or choose another disk: the next job records again"
+            f"the recording {self.path} stopped after {self._n_frames} frames: {reason}; the next "
+            "job records again: before it free space on a full disk, or choose another one"
         )
 
     def _stop(self, fault: RecordingError) -> None:

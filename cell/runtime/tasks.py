@@ -196,6 +196,7 @@ class ModelFile:
         if self.model.labels:
             self.model.save(path)
         elif self._emptied:  # the next start must not find what was forgotten
+            self.model.check_unchanged(path)
             with raised_as(ModelError, OSError, where=f"{path} cannot be removed"):
                 path.unlink(missing_ok=True)
                 training_set_file(path).unlink(missing_ok=True)

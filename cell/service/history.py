@@ -364,6 +364,8 @@ class History:
         while not self._over.wait(_LOOK_S):
             self.update()
         self.update()
+        if self._refused:  # a file that was removed is made anew
+            self.update()
         self._close_link()
 
     def _count_faults(self) -> None:

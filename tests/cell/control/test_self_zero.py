@@ -286,9 +286,8 @@ def test_a_teaching_begins_with_the_self_zero_that_its_grasps_carry(monkeypatch,
 
 
 def test_fingers_that_cannot_meet_are_gauged(make_bench) -> None:
-    bench = make_bench(quick_config(gripper__pads_meet=False)).ready()
     with pytest.raises(PlanRefused, match="calibrate --gauge"):
-        bench.controller.zeroing.measure()
+        make_bench(quick_config(gripper__pads_meet=False)).ready().controller.zeroing.measure()
     with pytest.raises(Exception, match=r"gripper\.pads_meet is false"):
         quick_config(gripper__pads_meet=False, self_zero="daily")
     unset = changed_config(CellConfig(), {"gripper.pads_meet": False})

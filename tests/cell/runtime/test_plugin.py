@@ -369,9 +369,11 @@ def test_each_teaching_is_saved_before_its_job_succeeds(
     done(plugin, TeachGoal(label="cup", present="box", grasps=2, train=False))
     with pytest.raises(ModelError, match=r"another program wrote .*m\.npz since this one did"):
         plugin.close()
+    write_dataset(tmp_path / "m.grasps.npz", taught.grasps[:6])
     path.unlink()
     plugin.save(path)
     assert [grasp.label for grasp in read_dataset(tmp_path / "m.grasps.npz")].count("cup") == 2
+    assert len(read_dataset(tmp_path / "m.grasps.1.npz")) == 6  # of the other program
     assert path.read_bytes() != before
     assert make_plugin(model=path).model.labels == ("ball", "box")
 
@@ -461,12 +463,16 @@ def test_what_was_forgotten_is_removed_once_it_can_be(make_plugin, taught, tmp_p
         plugin.result(plugin.forget(label, last=True), LIMIT_S)
     assert path.exists()
     plugin.result(plugin.forget("ball"), LIMIT_S)
+    own = path.rename(tmp_path / "own.npz")
+    path.write_bytes(b"a model of another program")
+    with pytest.raises(JobFailed, match=r"box is forgotten, but .* another program wrote"):
+        plugin.result(plugin.forget("box"), LIMIT_S)
     path.unlink()
     path.mkdir()  # what cannot be removed
-    with pytest.raises(JobFailed, match=r"box is forgotten, but .* cannot be removed"):
-        plugin.result(plugin.forget("box"), LIMIT_S)
+    with pytest.raises(ModelError, match=r"m\.npz cannot be removed"):
+        plugin._file.write()
     path.rmdir()
-    path.write_bytes(b"a model")
+    own.rename(path)
     plugin.close()
     assert not path.exists()
     assert not grasps.exists()

@@ -95,9 +95,8 @@ def test_what_lies_between_the_fingers_at_a_stop_in_the_test_is_kept(make_starte
 
 
 def test_it_refuses_a_long_way(make_started) -> None:
-    cell = make_started(watchdog_self_test=True, watchdog_s=2.5)
     with pytest.raises(LimitExceeded, match=r"shorten gripper\.watchdog_ms"):
-        cell.gripper.open()
+        make_started(watchdog_self_test=True, watchdog_s=2.5).gripper.open()
 
 
 def test_it_needs_open_fingers(make_started) -> None:

@@ -101,9 +101,8 @@ def test_no_contact_and_contact_without_a_surface_are_unknown_and_uniform(rng):
 
 
 def test_other_pads_are_refused(rng):
-    taught = LevelCheckTrainer().fit(_taught(PINCH, rng))
     with pytest.raises(ValueError, match="with full scale 255, taught were"):
-        taught.posterior(_grasp(INNER, 0.4, rng))
+        LevelCheckTrainer().fit(_taught(PINCH, rng)).posterior(_grasp(INNER, 0.4, rng))
     with pytest.raises(ValueError, match="different pads"):
         LevelCheckTrainer().fit([*_taught(PINCH, rng), *_taught(INNER, rng)])
 

@@ -387,9 +387,8 @@ def test_an_untouched_pad_tells_nothing(pads: PadArray) -> None:
     ],
 )
 def test_pads_that_show_no_shape_are_refused(shapes, why) -> None:
-    grasp = make_grasp(OBJECTS[0], np.random.default_rng(0), pads=make_pads(shapes=shapes))
     with pytest.raises(ContactError, match=why):
-        shape_of(grasp)
+        shape_of(make_grasp(OBJECTS[0], np.random.default_rng(0), pads=make_pads(shapes=shapes)))
 
 
 # -- How badly a model misses pressed pads, and what that does to a fit ----------------------------
@@ -522,9 +521,8 @@ def test_a_crop_reads_what_the_whole_reads(pads: PadArray) -> None:
 def test_scattered_taxels_are_refused() -> None:
     xy_m = np.array([[0, 0], [0, 1], [1, 0], [1, 1.5]]) * 3e-3
     shape, pad = np.array([[2, 2]]), np.zeros(4)
-    pads = PadArray(pad_shape=shape, taxel_pad=pad, taxel_xy_m=xy_m, adc_max=255)
     with pytest.raises(ContactError, match="2 x 2 taxels form no grid"):
-        PadBed(pads, 0, 1e-3)
+        PadBed(PadArray(pad_shape=shape, taxel_pad=pad, taxel_xy_m=xy_m, adc_max=255), 0, 1e-3)
 
 
 class Ramp:
