@@ -257,7 +257,7 @@ class GripStep:
         self._contact: ServoFeedback | None = None
         self._ended = False
         if control is not None:
-            control.resume()
+            control.resume(ramp.final_n)
 
     def step(self, moment: Moment) -> Action:
         """Return the action of one period; PartLost, PartSlipped when the part goes."""

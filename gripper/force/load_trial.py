@@ -40,7 +40,7 @@ class LoadTrial:
         self._finger = finger
         self._low_n, self._high_n = range_n
         self._held_rad: tuple[float, ...] = ()
-        control.resume()
+        control.resume(self._high_n)
 
     def start(self, *, rises: bool) -> None:
         """Start a change of the force."""

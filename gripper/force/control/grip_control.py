@@ -176,6 +176,7 @@ class GripControl:
         """Detects a slip while the set-point is steady."""
         self._law = ForceLaw(grip, moment.now_s)
         self._stalled_s: float | None = None
+        self._most_n = 0.0
         self._goals = DriveGoals(grip, state)
 
     @property
@@ -184,10 +185,12 @@ class GripControl:
         samples = self.watch.pads.recent
         return samples.grip_n if samples else self.grip.force_n
 
-    def resume(self) -> None:
-        """Begin again after the first ramp or a pause: samples from before it are discarded."""
+    def resume(self, end_n: float) -> None:
+        """Begin a change of the force to ``end_n`` N, or a hold; earlier samples are discarded."""
         self.watch.resume()
         self.grip.stiffness.end()
+        if end_n > self._most_n:
+            self.grip.stiffness.allow_harder()
         self._law.resume()
         self._goals.keeps = True
 
@@ -231,7 +234,7 @@ class GripControl:
         end_n = min(arrival_n, borne_n)
         setpoint_n = min(setpoint_n, borne_n)
         rises_n = setpoint_n - grip.setpoint_n
-        grip.setpoint_n = setpoint_n
+        grip.setpoint_n, self._most_n = setpoint_n, max(self._most_n, setpoint_n)
         if rises_n != 0.0:
             grip.carried_s = max(grip.carried_s, moment.now_s + RECOVERED_S)
         grip.apertures.add(moment.now_s, state.aperture_m)

@@ -155,7 +155,7 @@ class StiffnessEstimate:
         self.bounds_n_m = least_n_m, min(_HARDENS * self._most_n_m, STIFFEST_N_M)
 
     def end(self) -> None:
-        """Take the bounds of the travel so far: what follows is within it."""
+        """Take the bounds of the travel so far."""
         least_n_m, most_n_m = self.bounds_n_m
         self.bounds_n_m = least_n_m, max(least_n_m, min(most_n_m, self._most_n_m))
 

@@ -197,7 +197,7 @@ def control(*, lost: bool = False, suspicious: bool = False) -> Any:
         force_n=2.0,
         grip=SimpleNamespace(force_n=2.0, setpoint_n=2.0, opened_s=0.0),
         watch=SimpleNamespace(update=lambda _moment: lost, suspicious=suspicious),
-        resume=lambda: None,
+        resume=lambda _end_n: None,
         slip=SimpleNamespace(check=lambda _moment, **_named: None),
         goals=lambda *_given, **_named: goals,
         quiet_goals=lambda _moment: quiet,
