@@ -83,10 +83,6 @@ class DriveGoals:
         # Where the set-point has fallen, an earlier drive would make the force grow again.
         missing_n = max(balance_n - grip.force_n, 0.0)
         most_n = min(most_n, max(balance_n, grip.setpoint_n + missing_n))
-        opens_rad = inf
-        if self.keeps and grip.stiffness.stiffness_n_m:
-            reach_m = sum(map(grip.mechanics.linkage.opening_per_rad_m, state.angles_rad))
-            opens_rad = _OPENS_SHARE * grip.force_n / (grip.stiffness.stiffness_n_m * reach_m)
         for index, (servo, path) in enumerate(zip(state.servos, paths, strict=True)):
             model, deepest_rad = grip.settings.servos[index].servo_model, self._deepest_rad[index]
             # A position that drifts open must not move a closing goal to the open side.
@@ -102,7 +98,7 @@ class DriveGoals:
                 goal = self._closing(model, current_a, deepest_rad, closed_rad)
             else:
                 # Without a further goal the finger opens by no more than this.
-                lead_rad = min(running_lead_rad(model, current_a, 0.0), opens_rad)
+                lead_rad = min(running_lead_rad(model, current_a, 0.0), self._opens_rad(state))
                 widest_rad = min(self._contact_rad[index] + GIVE_RAD, stop_rad[index])
                 goal = ServoGoal(
                     angle_rad=min(servo.angle_rad + lead_rad + model.rad_per_pulse, widest_rad),
@@ -111,6 +107,14 @@ class DriveGoals:
                 )
             goals.append(goal._replace(rest=rest))
         return tuple(goals)
+
+    def _opens_rad(self, state: ServoFeedback) -> float:
+        """Return the largest opening of each finger in rad by one goal."""
+        grip, stiffness_n_m = self._grip, self._grip.stiffness.stiffness_n_m
+        if not self.keeps or stiffness_n_m is None:
+            return inf
+        reach_m = sum(map(grip.mechanics.linkage.opening_per_rad_m, state.angles_rad))
+        return _OPENS_SHARE * grip.force_n / (stiffness_n_m * reach_m)
 
     def _limit(
         self, state: ServoFeedback, paths: Sequence[Transmission], friction_n: float

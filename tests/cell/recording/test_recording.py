@@ -419,8 +419,9 @@ def test_a_disk_that_fails_at_the_end_or_in_the_thread_is_a_fault(
     tmp_path, monkeypatch, *, owner, name, error, background
 ) -> None:
     monkeypatch.setattr(owner, name, raising(error))
+    recorder = Recorder(tmp_path / "r.mcap", Clock(100.0), pads=PADS, background=background)
     with pytest.raises(RecordingError, match=str(error.args[-1])):
-        Recorder(tmp_path / "r.mcap", Clock(100.0), pads=PADS, background=background).close()
+        recorder.close()
 
 
 def test_recorder_refuses_what_is_not_in_order(tmp_path) -> None:

@@ -213,8 +213,7 @@ def standing(angle_rad: float) -> ServoFeedback:
 
 def first_goal(goals: DriveGoals, drive_n: float, angle_rad: float) -> tuple[float, float]:
     goals._grip.drive_n = drive_n
-    first, _ = goals.goals(standing(angle_rad))
-    return first.angle_rad, first.current_a
+    return goals.goals(standing(angle_rad))[0][:2]
 
 
 def test_the_side_of_the_goal_is_the_sign_of_the_drive() -> None:
