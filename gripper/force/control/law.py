@@ -259,7 +259,8 @@ class ForceLaw:
         if observer.speed_m_s == 0.0:
             push_n = self._starting_n(period, sample, error_n, frictions_n)
         else:
-            push_n = self._moving_n(period, sample, error_n, speed_m_s, frictions_n)
+            errors_n = error_n, period.end_n - force_n
+            push_n = self._moving_n(period, sample, errors_n, speed_m_s, frictions_n)
         if period.carried:
             push_n = max(0.0, push_n)
         return grip.balance_n + push_n
@@ -317,12 +318,15 @@ class ForceLaw:
         self,
         period: Period,
         sample: ForceSample,
-        error_n: float,
+        errors_n: tuple[float, float],
         speed_m_s: float,
         frictions_n: tuple[float, float],
     ) -> float:
-        """Return the push in N on moving fingers; ``speed_m_s`` is their next speed."""
-        observer, plan = self.observer, self.plan
+        """Return the push in N on moving fingers; ``speed_m_s`` is their next speed.
+
+        ``errors_n``: force in N that is missing now, and up to the end of its change.
+        """
+        observer, plan, (error_n, left_n) = self.observer, self.plan, errors_n
         sign, mass_kg = copysign(1.0, observer.speed_m_s), observer.mass_kg
         stiffness = observer.stiffness_n_m
         friction_n = frictions_n[0] if sign > 0.0 else frictions_n[1]
@@ -330,8 +334,7 @@ class ForceLaw:
         wanted_m_s = min(max(wanted_m_s, -self._most_m_s), self._most_m_s)
         # Growth of the force while only friction brakes the fingers.
         stopping_n = 0.5 * mass_kg * speed_m_s**2 * stiffness / max(friction_n, _NEAR_N)
-        ends = sign * error_n <= _NEAR_N + stopping_n and plan.rate_n_s == 0.0
-        if sign * wanted_m_s <= 0.0 or ends:
+        if sign * wanted_m_s <= 0.0 or sign * left_n <= _NEAR_N + stopping_n:
             slow = abs(speed_m_s) * stiffness * _FORCE_S <= _NEAR_N
             return 0.0 if slow else -sign * LOCKED_SHARE * friction_n
         if not self._goes_on(period, sample, sign * error_n):

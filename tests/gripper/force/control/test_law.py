@@ -72,8 +72,8 @@ class Grip:
         self.finger = Finger(paths[0], self.law.observer.mass_kg, force_n, stiction)
         self.random, self.periods, self.gain = random.Random(3), 0, 1.0
 
-    def follow(self, setpoints_n: Sequence[float], *, may_open: bool = True) -> list[float]:
-        """Follow set-points, and return the force after each period in N."""
+    def follow(self, setpoints_n: Sequence[float], *, may_open=True, end_n=0.0) -> list[float]:
+        """Follow set-points, by default to their end; return the force after each period in N."""
         forces_n = []
         for setpoint_n in setpoints_n:
             now_s = self.periods * PERIOD_S
@@ -82,7 +82,7 @@ class Grip:
                 now_s,
                 setpoint_n,
                 sample,
-                end_n=setpoints_n[-1],
+                end_n=end_n or setpoints_n[-1],
                 closed_m=2.0 * self.finger.way_m,
                 drive_n=self.finger.drive_n,
                 paths=self.paths,
@@ -184,7 +184,7 @@ def test_pads_that_do_not_follow_the_current_are_a_fault_and_no_reason_to_push()
 @pytest.mark.parametrize("setpoints_n", [[3.0] * 70, ramp(3.0, 13.0, 20.0)])
 def test_a_zero_that_jumps_is_a_fault_and_moves_nothing(setpoints_n) -> None:
     grip = Grip(3.0)
-    before_n = grip.follow(setpoints_n[:20])[-1]
+    before_n = grip.follow(setpoints_n[:20], end_n=setpoints_n[-1])[-1]
     grip.gain = 2.0
     with pytest.raises(LimitExceeded, match=r"their zero has jumped, or .* the grip kept"):
         grip.follow(setpoints_n[20:])
