@@ -362,7 +362,6 @@ class Approach:
             if finger.braked_s is None:
                 if shows[index] and moment.young:
                     finger.braked_s = moment.now_s
-                    finger.drive_n = _CREEP_N
             elif moment.now_s - finger.braked_s > BRIEF_S and not lasts[index]:
                 finger.braked_s = None
                 self._aperture_m = moment.state.aperture_m - self._lead_m
@@ -418,7 +417,11 @@ class Approach:
         model, path = finger.servo.servo_model, finger.path
         assert finger.braked_s is not None
         runs = -servo.velocity_rad_s > slow_rad_s(model)
-        if runs or moment.now_s - finger.braked_s < _BRAKED_S:
+        brakes = moment.now_s - finger.braked_s < _BRAKED_S
+        if runs and brakes:
+            # A finger that did not move since an earlier touch needs the drive from there on.
+            finger.drive_n = _CREEP_N
+        if runs or brakes:
             return servo.angle_rad, finger.current_a
         finger.drive_n += _CREEP_N_S * moment.dt_s
         current_a = min(
