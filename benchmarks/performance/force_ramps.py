@@ -7,7 +7,8 @@ reset at rest, on the same plants.
 
 Prints for each seed how many ramps meet the aims for the true force: overshoot of at most 10 % or
 0.3 N; within 5 % or 0.3 N from 0.3 s after the ramp on; the same in the hold. Then the mean error
-in the hold and the parts wrongly taken for lost. The seeds chose nothing.
+in the hold and the parts wrongly taken for lost. The seeds chose nothing. The held force is also
+changed, at 20 N/s: a further ramp is up to a force that the part has not had, or down.
 """
 
 import math
@@ -269,8 +270,13 @@ class Rig:
         final_n: float,
         rate_n_s: float,
         drives: Mapping[int, DriveCharacteristic] | None = None,
+        *,
+        then_n: float | None = None,
     ) -> RampQuality:
-        """Grasp and hold, and judge the true force; ``drives``: of `measure_servos`."""
+        """Grasp and hold, and judge the true force; ``drives``: of `measure_servos`.
+
+        ``then_n``: force in N to which the held force is changed; the figures are those of this.
+        """
         ends_s: list[float] = []
 
         def observe(cycle: Cycle) -> None:
@@ -278,22 +284,28 @@ class Rig:
             if cycle.phase is not GripperPhase.APPROACHING and arrived:
                 ends_s.append(cycle.t_s)
 
-        contact_s: float | None = None
+        began_s: float | None = None
         with suppress(GripperError):
             self.gripper.start()
             if drives is not None:
                 self.gripper.use_drives(drives)
             outcome = self.gripper.grasp(ForceRamp.linear(final_n, rate_n_s), observe)
             if outcome.result is not GraspResult.PART_LOST and outcome.contact_t_s is not None:
+                change_s, sign = outcome.contact_t_s, 1.0
+                if then_n is not None:
+                    self.gripper.hold(_SETTLED_S)
+                    ends_s.clear()
+                    change_s, sign, final_n = self.now_s, copysign(1.0, then_n - final_n), then_n
+                    self.gripper.hold_at(then_n, 0.0, observe)
                 self.gripper.hold(_HOLD_S, observe)
-                contact_s = outcome.contact_t_s
-        if contact_s is None or not ends_s:
+                began_s = change_s
+        if began_s is None or not ends_s:
             return RampQuality(0.0, _HOLD_S, final_n, lost=True)
         tolerance_n = hold_aim_n(final_n)
-        errors = [(t_s - ends_s[0], n - final_n) for t_s, n in self.trace if t_s >= contact_s]
+        errors = [(t_s - ends_s[0], n - final_n) for t_s, n in self.trace if t_s >= began_s]
         after = [(t_s, error_n) for t_s, error_n in errors if t_s >= 0.0]
         return RampQuality(
-            overshoot_n=max(0.0, *(error_n for _, error_n in errors)),
+            overshoot_n=max(0.0, *(sign * error_n for _, error_n in errors)),
             settling_s=max((t_s for t_s, n in after if abs(n) > tolerance_n), default=0.0),
             holding_n=max(abs(error_n) for t_s, error_n in after if t_s >= _SETTLED_S),
         )
@@ -370,11 +382,17 @@ class Setup(NamedTuple):
     """Class of the law; None is the gripper's own."""
     rate_hz: float | None = MESSAGES_HZ
     """Force messages a second; None: frames at 50 Hz."""
+    share: float | None = None
+    """Share of the force of the ramp to which the held force is changed; None: it is held."""
 
 
 SETUPS: dict[str, Setup] = {
     "force law, messages": Setup(),
     "force law, frames": Setup(rate_hz=None),
+    "then to half, messages": Setup(share=0.5),
+    "then to half, frames": Setup(rate_hz=None, share=0.5),
+    "then to 1.2 times, messages": Setup(share=1.2),
+    "then to 1.2 times, frames": Setup(rate_hz=None, share=1.2),
     "plain PI, messages": Setup(law=PlainPi),
     "plain PI, frames": Setup(law=PlainPi, rate_hz=None),
 }
@@ -425,7 +443,8 @@ def grasp(setup: Setup, case: Case, servos: int | None) -> RampQuality:
     """Return the figures of one ramp of one gripper."""
     drives = measured_drives(setup.rate_hz, servos)
     with mock.patch.object(grip_control, "ForceLaw", setup.law or grip_control.ForceLaw):
-        return rig(setup, case, servos).grasp(case.final_n, case.rate_n_s, drives)
+        then_n = None if setup.share is None else setup.share * case.final_n
+        return rig(setup, case, servos).grasp(case.final_n, case.rate_n_s, drives, then_n=then_n)
 
 
 def hold_aim_n(final_n: float) -> float:
@@ -446,7 +465,8 @@ def met(quality: RampQuality, final_n: float) -> tuple[bool, bool, bool]:
 def row(setup: Setup, servos: int | None, every: int = 1) -> tuple[str, list[str]]:
     """Return the figures of all ramps of a gripper, and a line for each that misses an aim."""
     qualities = {case: grasp(setup, case, servos) for case in CASES[::every]}
-    marks = {case: met(quality, case.final_n) for case, quality in qualities.items()}
+    share = setup.share or 1.0
+    marks = {case: met(quality, share * case.final_n) for case, quality in qualities.items()}
     counts = ", ".join(f"{sum(aim):2d}" for aim in zip(*marks.values(), strict=True))
     held = [quality.holding_n for quality in qualities.values() if not quality.lost]
     mean_n = sum(held) / max(1, len(held))
