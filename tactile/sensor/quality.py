@@ -83,6 +83,9 @@ class QualityWatch:
         self.bad = self._broken.copy()
         if self._tare is not None:
             self.bad |= self._tare.health.bad
+            # A force only raises counts: a taxel that rests high and reads 0 does not measure.
+            rests_high = self._tare.offset_counts > _DROP_SHARE * self._layout.adc_max
+            self.bad |= (frame.counts == 0) & rests_high
             if self._tare.health.lively:
                 self.bad |= self._repeats >= self._limits.stuck_frames
         if self._tare is None or not same.all():

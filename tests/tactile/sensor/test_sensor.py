@@ -287,6 +287,14 @@ def test_more_broken_taxels_than_allowed_make_the_force_invalid(sensor, frames) 
     assert sensor.statistics == SensorStatistics(bad_taxels=4, void_frames=2)
 
 
+def test_a_pad_that_rests_high_and_reads_0_does_not_measure() -> None:
+    sensor, frames = make(SensorSettings(rest_share=0.75))
+    frames.base[:] = 90.0
+    sensor.tare()
+    frames.stuck = dict.fromkeys(range(64), 0)
+    assert readings(sensor, frames, 4)[-1].reason == "64 taxels of finger 0 bad"
+
+
 def test_a_saturated_pad_beside_the_grip_is_noted_only(sensor, frames) -> None:
     frames.base[LAYOUT.taxels_of(1)] = 255.0
     reading = readings(sensor, frames, 5)[-1]
