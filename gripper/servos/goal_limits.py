@@ -258,7 +258,9 @@ class GoalWriter:
         fastest_rad_s = fastest_m_s / reach_m
         # The speed of the next reading has noise: on a part it would disturb the force.
         speed_rad_s = state.next_rad_s if empty else state.velocity_rad_s
-        over_rad_s = -min(speed_rad_s, state.motor_rad_s) - fastest_rad_s
+        # A motor that runs onto a part draws current. Where it reads none, the reading is wrong.
+        motor_rad_s = state.motor_rad_s if empty or state.current_a < 0.0 else 0.0
+        over_rad_s = -min(speed_rad_s, motor_rad_s) - fastest_rad_s
         if over_rad_s > slow_rad_s(model):
             if final:
                 return goal._replace(angle_rad=state.angle_rad, current_a=most_a)
