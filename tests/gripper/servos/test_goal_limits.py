@@ -72,9 +72,7 @@ FRICTION_N, ONE_N_A = 1.5, 0.06 / 1.80
 """Friction of an XM430-W350 at a pad on a link of 60 mm in N, and its current in A for 1 N."""
 
 
-def standing(
-    velocity_rad_s: float, motor_rad_s: float = 0.0, current_a: float = 0.0
-) -> ServoFeedback:
+def standing(velocity_rad_s: float, motor_rad_s=0.0, current_a=-0.1) -> ServoFeedback:
     servo = make_servo(angle_rad=0.1, velocity_rad_s=velocity_rad_s, next_rad_s=velocity_rad_s)
     servo = replace(servo, motor_rad_s=motor_rad_s, current_a=current_a)
     return make_state(servos=tuple(replace(s, servo_id=i) for i, s in enumerate((servo,) * 2, 1)))
@@ -175,15 +173,12 @@ def test_fingers_that_press_keep_a_speed_that_goes_by_no_pad(shares) -> None:
     """Pads that stand at 0.6 N would allow 30 mm/s. Position or motor shows the speed."""
     writer = make_writer()
     writer.note_force(ForceSample(t_s=0.0, force_n=(0.6, 0.6)))
-    fast, slow = (
-        standing(*(share * -m_s / 0.06 for share in shares), current_a=-0.1)
-        for m_s in (0.025, 0.012)
-    )
+    fast, slow = (standing(*(share * -m_s / 0.06 for share in shares)) for m_s in (0.025, 0.012))
     asked = [ServoGoal(angle_rad=0.05, current_a=0.2, setpoint_n=6.0)] * 2
     assert all(goal.angle_rad >= 0.1 for goal in writer.bounded(asked, fast))
     assert writer.bounded(asked, slow) == tuple(asked)
     # A motor at rest also seems to run where its current reads 0.
-    assert writer.bounded(asked, standing(0.0, motor_rad_s=-0.5)) == tuple(asked)
+    assert writer.bounded(asked, standing(0.0, motor_rad_s=-0.5, current_a=0.0)) == tuple(asked)
 
 
 @pytest.mark.parametrize(("friction_sd", "keeps"), [(0.05, True), (0.7, False)])
