@@ -120,13 +120,19 @@ class Bench:
         return changed_config(base, values | dict(changes))
 
     def _changes(self) -> dict[str, Any]:
-        """Return the settings; each servo with its ``measured`` of the base, which no step sets."""
+        """Return the settings, with what no step measures as in the base.
+
+        That is ``measured`` of each servo, and an opening below the widest one that was found.
+        """
+        settings = dict(self.settings)
+        if settings.get("gripper.aperture_open_mm", 0.0) > self.base.gripper.aperture_open_mm:
+            del settings["gripper.aperture_open_mm"]
         measured = {(servo.id, servo.model): servo.measured for servo in self.base.gripper.servos}
         servos = [
             servo | {"measured": measured.get((servo["id"], servo["model"]), "")}
-            for servo in self.settings.get("gripper.servos", ())
+            for servo in settings.get("gripper.servos", ())
         ]
-        return dict(self.settings) | ({"gripper.servos": servos} if servos else {})
+        return settings | ({"gripper.servos": servos} if servos else {})
 
     def ports_beside(self, used: str) -> list[str]:
         """Return the serial ports without the one in use."""

@@ -154,12 +154,14 @@ def test_wrong_registers_are_shown_set_and_read_back(stand, name, values, wanted
     assert [what for _, what, *_ in rows].count(text[1]) == len(values) - values.count(wanted[0])
 
 
-def test_the_bench_of_a_servo_stays_in_the_config_while_it_is_the_same_servo(tmp_path) -> None:
+def test_a_later_run_keeps_the_bench_of_the_same_servo_and_a_smaller_opening(tmp_path) -> None:
     write_json(file := tmp_path / "1.json", SERVO_BENCH, {"model": "XM430-W350"}, error=CellError)
     servos = [{"id": number, "measured": str(file)} for number in (1, 3)]
-    bench = Bench(tmp_path, base=changed_config(CellConfig(), {"gripper.servos": servos}))
+    edited = {"gripper.servos": servos, "gripper.aperture_open_mm": 12.0}
+    bench = Bench(tmp_path, base=changed_config(CellConfig(), edited))
     bench.settings = dict(KNOWN)
     assert [servo.measured for servo in bench.gripper().servos] == [str(file), ""]
+    assert bench.gripper().aperture_open_mm == 12.0  # of the widest one, 14 mm
 
 
 def test_a_second_servo_that_is_not_there_after_all_is_not_waited_for(new) -> None:
