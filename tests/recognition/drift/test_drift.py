@@ -279,12 +279,11 @@ def pressed(
     counts = 60.0 + np.hstack([load * math.sqrt(ratio), load / math.sqrt(ratio)])
     counts[:, list(dead)] = 60.0
     counts += rng.normal(0.0, 6.0, counts.shape)
-    aperture_mm = np.round((way_mm + zero_mm) / (1e3 * STEP_M)) * 1e3 * STEP_M
     return Grasp(
         pads=PADS,
         counts=np.clip(np.rint(counts), 0, 4095).astype(np.uint16),
         t_s=0.02 * np.arange(len(way_mm)),
-        aperture_m=1e-3 * aperture_mm,
+        aperture_m=np.round((way_mm + zero_mm) / (1e3 * STEP_M)) * STEP_M,
         force_n=np.r_[np.zeros(20), np.linspace(1.0, 12.0, 50)],
     )
 
