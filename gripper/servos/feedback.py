@@ -15,7 +15,13 @@ from gripper.dynamixel import control_table as ct
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.drive import SIGMAS
 from gripper.dynamixel.models import ServoModel
-from gripper.errors import BusCorrupt, FeedbackImplausible, LimitExceeded, PositionContradicted
+from gripper.errors import (
+    BusCorrupt,
+    FeedbackImplausible,
+    GripContradicted,
+    LimitExceeded,
+    PositionContradicted,
+)
 from gripper.mechanics.transmission import Mechanics
 from gripper.servos.motion import ServoMotion
 from gripper.servos.winding import Supply, WindingHeat, winding_a
@@ -186,11 +192,14 @@ class FeedbackCheck:
         self._last: dict[int, tuple[float, float]] = {}
         self._inside: set[int] = set()
         """Indexes of the servos inside their range when they were last far from its ends."""
+        self._surges: set[int] = set()
+        """Indexes of the servos with an impossible current that was reported."""
 
     def forget(self) -> None:
         """Compare the next feedback with no earlier one."""
         self._last.clear()
         self._inside.clear()
+        self._surges.clear()
         for motor in self.motors.values():
             motor.forget()
 
@@ -199,7 +208,8 @@ class FeedbackCheck:
 
         Raises FeedbackImplausible where a finger has leapt, or its position or current is
         impossible. Raises PositionContradicted where it has moved steadily, but not as its motor,
-        or to where only a load on the pads explains it; not while a loaded part is let go.
+        or to where only a load on the pads explains it, and GripContradicted where only the current
+        is impossible and the pads are loaded; not while a loaded part is let go.
 
         Parameters
         ----------
@@ -211,7 +221,7 @@ class FeedbackCheck:
             Whether the pads may hold a part.
         """
         for index, servo in enumerate(servos):
-            self._check_current(index, servo)
+            self._check_current(index, servo, loaded=loaded)
             last = self._last.get(servo.servo_id)
             self._last[servo.servo_id] = (now_s, servo.angle_rad)
             self._check_turn(servo)
@@ -256,19 +266,25 @@ class FeedbackCheck:
                 f"its torque is on: {_ADVICE}"
             )
 
-    def _check_current(self, index: int, servo: ServoState) -> None:
+    def _check_current(self, index: int, servo: ServoState, *, loaded: bool) -> None:
         settings = self._settings
         model = settings.servos[index].servo_model
         most_a = min(
             _CURRENT_RESERVE * settings.current_max_a + _CURRENT_MORE_A,
             _CURRENT_RESERVE * model.stall_current_a,
         )
-        if abs(servo.current_a) > most_a:
-            raise FeedbackImplausible(
-                f"servo {servo.servo_id}: it reports {servo.current_a:.2f} A, at most "
-                f"{most_a:.2f} A are possible with current_max_a = {settings.current_max_a} A: "
-                f"{_ADVICE}"
-            )
+        if abs(servo.current_a) <= most_a:
+            self._surges.discard(index)
+            return
+        reports = (
+            f"servo {servo.servo_id}: it reports {servo.current_a:.2f} A, at most {most_a:.2f} A "
+            f"are possible with current_max_a = {settings.current_max_a} A"
+        )
+        if not loaded:
+            raise FeedbackImplausible(f"{reports}: {_ADVICE}")
+        if not (self.letting_go or self._surges):
+            self._surges.add(index)  # it is reported once: the positions are known
+            raise GripContradicted(f"{reports}. {_GRIP_STAYS}")
 
     def _check_range(self, index: int, servo: ServoState, last_rad: float, *, loaded: bool) -> None:
         low_rad, high_rad = self._lowest_rad[index], self._highest_rad[index]

@@ -25,25 +25,22 @@ from tests.values import raising
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 
 
-@pytest.mark.parametrize("lost", [0, 2])
-def test_a_current_that_cannot_be_ends_in_limp_fingers(cell, monkeypatch, lost) -> None:
+def test_a_current_that_cannot_be_keeps_what_the_pads_hold(cell, monkeypatch) -> None:
     cell.hold_part(RAMP)
-    write, losses = cell.gripper.bus.write, iter(range(lost))
-
-    def sometimes(servo_id: int, register, value: int) -> None:
-        if register is TORQUE_ENABLE and next(losses, None) is not None:
-            raise errors.BusTimeout("lost")
-        write(servo_id, register, value)
-
-    cell.gripper.bus.write = sometimes
 
     def absurd(model, present_a: float, *_of: float) -> tuple[float, float]:
         return 12.0 * present_a, 12.0 * present_a
 
     observe = cell.once(lambda: monkeypatch.setattr(feedback, "winding_a", absurd), in_s=0.3)
-    with pytest.raises(errors.FeedbackImplausible, match=r"at most 1\.50 A are possible"):
+    with pytest.raises(errors.GripContradicted, match=r"at most 1\.50 A are .* the grip kept"):
         cell.gripper.hold(2.0, observe)
-    assert cell.torques == [0, 0]
+    cell.gripper.tick()
+    assert cell.torques == [1, 1]
+    assert cell.force_n > 3.5
+    cell.gripper.clear_fault()
+    with pytest.raises(errors.ServoFault, match=r"its free motion takes 0\.\d+ A"):
+        cell.gripper.release()
+    assert cell.force_n == 0.0
 
 
 @pytest.mark.parametrize("silent", [(), (2,)])
@@ -623,8 +620,12 @@ def test_a_fault_while_one_finger_opens_is_that_of_the_gripper(make_cell) -> Non
     assert cell.register(1, "bus_watchdog") == 10, "it alone stops the finger"
 
 
-def test_a_finger_whose_position_has_leapt_is_not_said_to_be_open(cell) -> None:
+@pytest.mark.parametrize("lost", [0, 2])
+def test_a_finger_whose_position_has_leapt_is_not_said_to_be_open(cell, lost) -> None:
     cell.hold_part(RAMP)
+    bus, fails = cell.gripper.bus, [raising(errors.BusTimeout("lost"))] * lost
+    write = bus.write
+    bus.write = lambda *of: (fails.pop() if fails and of[1] is TORQUE_ENABLE else write)(*of)
     cell.servos[0].plant.encoder_offset_rad += 0.3
     with pytest.raises(errors.FeedbackImplausible, match="leapt"):
         cell.gripper.hold(1.0)

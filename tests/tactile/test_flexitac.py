@@ -185,8 +185,7 @@ def test_a_frame_that_lost_or_gained_a_byte_is_never_handed_out(place: int, extr
     sent, stream = frames(12), FrameStream(PROFILE)
     now_s = locked(stream)
     hurt = sent[2][:place] + (b"\x07" + sent[2][place:] if extra else sent[2][place + 1 :])
-    whole = {frame[2:] for frame in sent}
-    got = []
+    whole, got = {frame[2:] for frame in sent}, []
     for number, frame in enumerate([*sent[:2], hurt, *sent[3:]], start=1):
         got += stream.feed(frame, now_s + number * PERIOD_S)
     assert stream.torn == 1

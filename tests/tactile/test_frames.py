@@ -104,8 +104,7 @@ def stream() -> ForceFlow:
 def test_lost_repeated_late_and_damaged_messages_are_told_apart(stream) -> None:
     period_s = 0.003
     sent = [force_bytes(message(n % 16, 1.0 + 0.1 * n)) for n in range(40)]
-    took = []
-    order = [0, 1, 2, 5, 5, 4, 6, 7]  # 3 lost, 5 twice, 4 late
+    took, order = [], [0, 1, 2, 5, 5, 4, 6, 7]  # 3 lost, 5 twice, 4 late
     for place, n in enumerate(order):
         took.append(stream.push(sent[n], place * period_s) is not None)
     assert took == [True, True, True, True, False, False, True, True]
@@ -223,8 +222,7 @@ def test_what_is_handed_out_and_counted(stream: Stream, handed_out, counted) -> 
 
 def test_a_buffer_that_the_caller_reuses_does_no_harm() -> None:
     assembler = FrameAssembler(PAPER)
-    buffer = bytearray(8)
-    frame = None
+    buffer, frame = bytearray(8), None
     for message in SENT.burst(np.arange(408) & 255, 1, 0):
         buffer[:] = message
         frame = assembler.push(buffer, 0.0)

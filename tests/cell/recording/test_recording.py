@@ -255,8 +255,7 @@ def fill_disk_after(
     Returns the bytes that are left, for a test to change. Where they are not ``reported``, the disk
     looks empty, as with a quota.
     """
-    room = [n_bytes]
-    write = os.write
+    room, write = [n_bytes], os.write
 
     def limited(handle: int, data: Any) -> int:
         if room[0] <= 0:

@@ -88,8 +88,7 @@ def test_an_unplugged_adapter_is_a_lost_port(terminal) -> None:
 def test_a_long_write_goes_through_and_an_adapter_that_takes_nothing_is_lost(terminal) -> None:
     master, path = terminal
     stream = SerialStream(path)
-    data = bytes(range(256)) * 1200
-    arrived = bytearray()
+    data, arrived = bytes(range(256)) * 1200, bytearray()
 
     def fetch() -> None:
         while len(arrived) < len(data):

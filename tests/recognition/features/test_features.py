@@ -191,8 +191,7 @@ def test_harmonics_tell_two_bumps_from_one_patch_of_their_size(grid):
 
 
 def test_centred_part_of_the_profile_does_not_move_with_the_patch(grid):
-    n = grid.shape[0]
-    still = profile(patch(grid), grid)
+    n, still = grid.shape[0], profile(patch(grid), grid)
     moved = profile(patch(grid, at=(6.0, 0.0)), grid)
     reach = len(still) // 2 - n
     assert moved[n : n + reach] == pytest.approx(still[n : n + reach], abs=0.02)

@@ -47,8 +47,7 @@ def linear_fit(
 
     The parameters are the log of the half thickness, the kind's own, one of the grasp and the zero.
     """
-    n = N_OWN[kind] + 2
-    half_mm = 0.5 * thickness_mm
+    n, half_mm = N_OWN[kind] + 2, 0.5 * thickness_mm
     slope = np.zeros(n)
     slope[0], slope[-1] = 2.0 * half_mm / NOISE_MM, 1.0 / NOISE_MM
     normal = np.outer(slope, slope)

@@ -67,8 +67,7 @@ def test_the_estimate_is_the_mean_of_the_exact_count(low: int, high: int, mean: 
 
 
 def test_messages_wait_for_each_other_on_the_wire() -> None:
-    wire = CanWire(500_000)
-    data = bytes(range(1, 9))
+    wire, data = CanWire(500_000), bytes(range(1, 9))
     length_s = mean_bits(data) / 500e3
     for ready_s, can_id in ((1.0, TPDO_ID), (1.0, TPDO_ID), (2.0, TPDO_ID + 1)):
         wire.put(ready_s, can_id, [data])
@@ -81,8 +80,7 @@ def test_messages_wait_for_each_other_on_the_wire() -> None:
 
 
 def test_the_lowest_identifier_goes_first_but_never_interrupts_one_on_the_wire() -> None:
-    wire = CanWire(1_000_000)
-    data = bytes(range(1, 9))
+    wire, data = CanWire(1_000_000), bytes(range(1, 9))
     wire.put(1.0, 0x385, 3 * [data])
     wire.put(1.0001, 0x285, [data])  # while the first of the burst is on the wire
     assert [can_id for _, can_id, *_ in wire.take(2.0)] == [0x385, 0x285, 0x385, 0x385]

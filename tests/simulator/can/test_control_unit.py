@@ -316,8 +316,7 @@ def test_a_touch_on_both_pads_counts_sooner_than_one_on_a_single_pad() -> None:
 
 
 def test_noise_of_untouched_pads_is_no_force() -> None:
-    unit = Unit(*LAYOUTS[0])
-    rng = np.random.default_rng(3)
+    unit, rng = Unit(*LAYOUTS[0]), np.random.default_rng(3)
     for _ in range(3000):
         noise = np.clip(np.abs(10.0 * rng.standard_normal(unit.n)), 1.0, 20.0) - 8.0
         counts = np.rint(unit.zero + noise).astype(np.uint16)

@@ -740,7 +740,8 @@ def test_a_sensor_measures_where_the_finger_is_on_pads_that_sit_otherwise(mounts
     )
     settings = SimulatorSettings(layout=PINCH, mounts=mounts, noise_level=0.2, pads=pads)
     with SimulatedCell(settings) as cell:
-        with open_sensor(cell.can_bus, PINCH, law, link=LinkSettings(mounts=mounts)) as sensor:
+        link = LinkSettings(mounts=mounts)
+        with open_sensor(cell.can_bus, PINCH, law, link=link) as sensor:
             sensor.tare(20)
             cell.devices.world.press(0, 12e-3, -5e-3, 2.0)
             for _ in range(20):

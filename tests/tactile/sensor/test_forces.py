@@ -299,8 +299,7 @@ def test_a_force_that_changes_fast_is_no_difference() -> None:
 
     check, sent_s = check_of(0.02), 0.0
     for n in range(20):
-        at_s = 0.01 * n - 0.0033
-        messages = []
+        at_s, messages = 0.01 * n - 0.0033, []
         while sent_s < at_s + 0.005:
             messages.append(message(sent_s, force_n(sent_s), force_n(sent_s)))
             sent_s += 0.01
