@@ -1,7 +1,6 @@
 """Opens all configured interfaces of a service; addresses of its page, and their QR codes."""
 
 import asyncio
-import os
 import socket
 import threading
 from collections.abc import Iterator, Mapping
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from cell.config.serve import ServeConfig
 from cell.errors import CellError, ConfigError
+from cell.files import open_plain
 from cell.installation import extra
 from cell.service.service import Service
 
@@ -55,9 +55,9 @@ def open_interfaces(service: Service) -> Iterator[dict[str, Any]]:
     config = service.config.serve
     opened: dict[str, Any] = {"listen": config.listen}
     interfaces: dict[str, Any] = {}
-    for name in (config.tls_key, config.tls_certificate):
-        if name and not (Path(name).is_file() and os.access(name, os.R_OK)):
-            raise ConfigError(f"{name}: not a plain file that can be read; name the file itself")
+    for key in ("tls_key", "tls_certificate"):
+        if file := getattr(config, key):
+            open_plain(Path(file), error=ConfigError, what=f"serve.{key}").close()
     with ExitStack() as undo:
         for key, name in _INTERFACES.items():
             if getattr(config, key) is None:

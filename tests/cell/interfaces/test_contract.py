@@ -434,7 +434,7 @@ def test_interfaces_that_cannot_be_opened_say_why(serve, tmp_path: Path) -> None
         ("modbus", "secret_file", "pipe", "pipe: not a plain file"),
         ("http", "token_file", "pipe", "pipe: not a plain file"),
         ("http", "tls_key", "pipe", "pipe: not a plain file"),
-        ("http", "tls_key", "missing", "missing: not a plain file that can be read"),
+        ("http", "tls_key", "missing", r"cannot read serve\.tls_key .*missing: No such file"),
         ("http", "tls_key", "bad", "bad must be PEM files of one certificate and its key"),
         ("xmlrpc", "secret_file", "bad", "no other characters"),
         ("modbus", "secret_file", "long", "at most 64 characters"),
