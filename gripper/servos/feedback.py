@@ -192,14 +192,11 @@ class FeedbackCheck:
         self._last: dict[int, tuple[float, float]] = {}
         self._inside: set[int] = set()
         """Indexes of the servos inside their range when they were last far from its ends."""
-        self._surges: set[int] = set()
-        """Indexes of the servos with an impossible current that was reported."""
 
     def forget(self) -> None:
         """Compare the next feedback with no earlier one."""
         self._last.clear()
         self._inside.clear()
-        self._surges.clear()
         for motor in self.motors.values():
             motor.forget()
 
@@ -273,8 +270,7 @@ class FeedbackCheck:
             _CURRENT_RESERVE * settings.current_max_a + _CURRENT_MORE_A,
             _CURRENT_RESERVE * model.stall_current_a,
         )
-        if abs(servo.current_a) <= most_a:
-            self._surges.discard(index)
+        if abs(servo.current_a) <= most_a or (self.letting_go and loaded):
             return
         reports = (
             f"servo {servo.servo_id}: it reports {servo.current_a:.2f} A, at most {most_a:.2f} A "
@@ -282,9 +278,7 @@ class FeedbackCheck:
         )
         if not loaded:
             raise FeedbackImplausible(f"{reports}: {_ADVICE}")
-        if not (self.letting_go or self._surges):
-            self._surges.add(index)  # it is reported once: the positions are known
-            raise GripContradicted(f"{reports}. {_GRIP_STAYS}")
+        raise GripContradicted(f"{reports}. {_GRIP_STAYS}")
 
     def _check_range(self, index: int, servo: ServoState, last_rad: float, *, loaded: bool) -> None:
         low_rad, high_rad = self._lowest_rad[index], self._highest_rad[index]

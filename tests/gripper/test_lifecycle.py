@@ -34,7 +34,6 @@ def test_a_current_that_cannot_be_keeps_what_the_pads_hold(cell, monkeypatch) ->
     observe = cell.once(lambda: monkeypatch.setattr(feedback, "winding_a", absurd), in_s=0.3)
     with pytest.raises(errors.GripContradicted, match=r"at most 1\.50 A are .* the grip kept"):
         cell.gripper.hold(2.0, observe)
-    cell.gripper.tick()
     assert cell.torques == [1, 1]
     assert cell.force_n > 3.5
     cell.gripper.clear_fault()
