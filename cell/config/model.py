@@ -9,7 +9,7 @@ from math import ceil
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from cell.config.gripper import GripperConfig, gripper_settings, linkage_of
 from cell.config.positioner import AxesCanConfig, PositionerConfig, ServoAxisConfig, SortConfig
@@ -63,10 +63,19 @@ class RecognitionConfig(Section):
     force_ramp."""
 
 
+def _without_tilde(folder: str) -> str:
+    """Return a folder; no shell expands `~` here, and a folder of this name would be made."""
+    if folder.startswith("~"):
+        raise ValueError("~ is not your home folder here: write the path in full")
+    return folder
+
+
 class RecordingConfig(Section):
     """Storage of recordings, data sets and reports."""
 
-    directory: str = Field(default="out", min_length=1, max_length=500)
+    directory: Annotated[str, AfterValidator(_without_tilde)] = Field(
+        default="out", min_length=1, max_length=500
+    )
     """Folder of recordings, data sets and reports; created if missing."""
     when_lost: Literal["finish", "hold"] = "finish"
     """If the recording cannot be written: finish the grasps without it, or hold (a fault)."""

@@ -140,6 +140,7 @@ CAN = PORT + "tactile: {interface: socketcan, channel: can0}\n"
         ),
         ("sequence: {carry_force_n: 14}\n", ["1:12: sequence.carry_force_n: ", "14.0 N: lower it"]),
         ("tactile: {bitrate: 250000}\n", ["up to 171%", "period_ms 43 or", "period_ms 10 or more"]),
+        ("recording: {directory: ~/out}\n", ["recording.directory: ~ is not your home folder"]),
         ("sequence:\n  x_mm: [3, 1]\n", [".x_mm: [3, 1] is not [low, high] with -100 <= low"]),
         ("sequence: {regrasp: none, force_n: [1.7, 8]}\n", ["contact_force_n = 0.6 N times 3"]),
         ("gripper: {port: /dev/ttyUSB0}\n", ["must all be `simulated` or all be real"]),
