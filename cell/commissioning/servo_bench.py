@@ -589,8 +589,12 @@ def findings(model: ServoModel, values: Values) -> list[str]:
     lines = []
     for name, of_model, within, consequence in rows:
         if (measured := values.get(name)) is not None:
-            agrees = abs(measured - of_model) <= within * of_model
-            verdict = "agrees" if agrees else f"differs: {consequence}"
+            difference = abs(measured - of_model) / of_model
+            far = consequence == ratio and difference > 0.5
+            advice = (
+                "look at arm (100 mm), readings (g), horn and supply first" if far else consequence
+            )
+            verdict = "agrees" if difference <= within else f"differs: {advice}"
             lines.append(f"{name}: model {of_model:.4g}, measured {measured:.4g}, {verdict}")
     if (gains := values.get("gains_mode_5")) is not None:
         lines.append(f"gains that mode 5 sets by itself (D, I, P): {gains}")
@@ -647,6 +651,7 @@ def run_bench(rig: Rig, dialog: Dialog, folder: Path) -> tuple[Path, ...]:
                     results = step(rig, dialog)
                 values |= {name: value for name, value in results.items() if value is not None}
                 done.append(key)
+                _write(rig, values, done, log)  # a power failure later loses no step
             except (StepFailed, GripperError) as why:
                 dialog.say(f"{title} failed: {why}")
     finally:

@@ -10,7 +10,7 @@ import pytest
 
 from cell.commissioning.bench import Bench, LineOpener
 from cell.commissioning.engine import StepFailed, WizardAborted
-from cell.commissioning.servo_bench import STEPS, Rig, open_rig, run_bench
+from cell.commissioning.servo_bench import STEPS, Rig, findings, open_rig, run_bench
 from cell.config.gripper import measured_drive
 from cell.errors import CellError, ConfigError
 from gripper.dynamixel.bus import ServoBus
@@ -195,6 +195,22 @@ def test_a_person_who_leaves_keeps_what_was_measured_and_the_torque_is_off(tmp_p
     assert "gains_mode_5" in json.loads(result.read_text())["values"]
     assert not bench.servo.torque_on
     assert bench.servo.registers.get("operating_mode") == 3
+
+
+def test_a_step_is_on_the_disk_before_the_next_begins(tmp_path: Path) -> None:
+    bench = SimulatedBench()
+    script, there = person(bench, "registers"), list[str]()
+    script.replies["velocity.begin"] = lambda: there.extend(
+        result.read_text() for result in tmp_path.glob("*.json")
+    )
+    run_bench(bench.rig, script, tmp_path)
+    assert "gains_mode_5" in there[0]
+
+
+@pytest.mark.parametrize(("rising_a_nm", "step"), [(0.7, "`measured`"), (500.0, "readings")])
+def test_a_torque_far_from_the_model_is_checked_before_it_is_used(rising_a_nm, step) -> None:
+    (line,) = findings(XM430_W350, {"rising_a_nm": rising_a_nm})
+    assert step in line
 
 
 def test_limits_stand_beside_the_write() -> None:
