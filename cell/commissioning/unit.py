@@ -155,7 +155,7 @@ def _find_boards(bench: Bench, dialog: Dialog, notes: Notes) -> None:
             raise StepFailed(
                 f"Serial ports beside that of the servos: {', '.join(ports) or 'none'}; the sensor "
                 f"needs {len(tactile.serial_ports)}. Plug in the boards alone, or write "
-                "tactile.sensor.ports."
+                "gripper.port, tactile.sensor.ports and positioner.kind into the file of --config."
             )
         names = [lasting_name(port) for port in ports]
         notes.settings["tactile.sensor"] = tactile.sensor.model_dump() | {"ports": names}
