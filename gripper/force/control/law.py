@@ -237,9 +237,11 @@ class ForceLaw:
         observer.missing_n -= max(0.0, self._balance_n - grip.balance_n)
         if sample is not None and self._jumps(sample, period):
             sample = None
-        drive_n = 0.5 * (before_n + measured_n)
+        # A current that did not follow its goal may be read wrongly.
+        goal_n = before_n + current_share(period.moment.dt_s) * (grip.drive_n - before_n)
+        drive_n, drive_sd_n = 0.5 * (before_n + measured_n), abs(measured_n - goal_n)
         observer.begin_period(period.moment.now_s)
-        observer.predict(period.moment.dt_s, drive_n, self._frictions_n(period))
+        observer.predict(period.moment.dt_s, drive_n, drive_sd_n, self._frictions_n(period))
         observer.measure(period.moment, sample)
         frictions_n = self._frictions_n(period)
         self._check(period)

@@ -19,9 +19,14 @@ correct it (Schmidt 1966): of noise it would learn a stiffness that is far too h
 trust the force of each count.
 
 Where friction locks the mass, v is 0 and nothing is learnt of d (Karnopp 1985, stick and slip).
+
+A measurement may be wrong for some readings. A current that does not follow its goal makes v
+uncertain. A position that leaps while friction locks the mass is no way (Bar-Shalom, Li and
+Kirubarajan 2001, validation gate): it makes F uncertain, and the next samples show the force. In
+motion a leap may be an error of the model, so it is a way.
 """
 
-from math import log, sqrt
+from math import inf, log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +84,7 @@ class GripObserver:
         self._forces, self._ways_m = History(), History()
         self._forces.add(now_s, self.force_n)
         self._ways_m.add(now_s, 0.0)
-        self._sample_s = self._period_s = now_s
+        self._sample_s, self._period_s, self._leapt_s = now_s, now_s, -inf
 
     @property
     def force_sd_n(self) -> float:
@@ -133,8 +138,13 @@ class GripObserver:
         swing = 0.25 * self.stiffness_n_m * dt_s**2 / self.mass_kg
         return (1.0 - swing) / (1.0 + swing), dt_s / self.mass_kg / (1.0 + swing)
 
-    def predict(self, dt_s: float, drive_n: float, frictions_n: tuple[float, float]) -> None:
-        """Advance by ``dt_s`` s under a drive in N; ``frictions_n`` as `speed_after_m_s`."""
+    def predict(
+        self, dt_s: float, drive_n: float, drive_sd_n: float, frictions_n: tuple[float, float]
+    ) -> None:
+        """Advance by ``dt_s`` s under a drive and its standard deviation in N.
+
+        ``frictions_n``: as `speed_after_m_s`.
+        """
         stiffness, before_m_s = self.stiffness_n_m, self.speed_m_s
         if self._breaks:
             self._breaks, before_m_s = False, 0.0
@@ -151,7 +161,7 @@ class GripObserver:
             f[0, 4] = stiffness * way_m
             f[3] += way
             self._p = f @ self._p @ f.T
-            self._p[1, 1] += _RIPPLE_M_S**2
+            self._p[1, 1] += _RIPPLE_M_S**2 + (gain_m_s_n * drive_sd_n) ** 2
             self._p[2, 2] += (_MISSING_N_RS**2 + (_MISSING_N_RM * self.speed_m_s) ** 2) * dt_s
         if self.speed_m_s == 0.0:
             self._p[1], self._p[:, 1] = 0.0, 0.0
@@ -161,9 +171,9 @@ class GripObserver:
         """Use the present position, and the newest sample where it is new."""
         error_m = 0.5 * (self._start_m - moment.state.aperture_m) - self._way_m
         if self.speed_m_s == 0.0 and error_m**2 > SURE_SDS**2 * (self._p[3, 3] + self._way_m2):
-            # The fingers have moved although friction should lock them.
-            moved = np.array((self.stiffness_n_m, 0.0, 0.0, 1.0, 0.0))
-            self._p += moved[:, None] * moved * error_m**2
+            self._start_m -= 2.0 * error_m
+            self.resume(self.stiffness_n_m * error_m)
+            error_m, self._leapt_s = 0.0, moment.now_s
         before_m = self._way_m
         self._correct(_WAY, error_m, self._way_m2)
         # The force has followed the way by the stiffness, with its uncertainty.
@@ -172,7 +182,7 @@ class GripObserver:
         self._p[:, 0] += followed_n * self._p[:, 4]
         self._forces.add(moment.now_s, self.force_n)
         self._ways_m.add(moment.now_s, self._way_m)
-        if sample is not None and sample.t_s > self._sample_s:
+        if sample and sample.t_s > self._sample_s and sample.measured_s > self._leapt_s:
             self._sample_s, before_n = sample.t_s, self.force_n
             # The force at that time is the present one without the way since then.
             since_n = self.stiffness_n_m * (self._way_m - self._ways_m.at(sample.measured_s))
