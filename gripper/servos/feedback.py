@@ -278,7 +278,10 @@ class FeedbackCheck:
         )
         if not loaded:
             raise FeedbackImplausible(f"{reports}: {_ADVICE}")
-        raise GripContradicted(f"{reports}. {_GRIP_STAYS}")
+        raise GripContradicted(
+            f"{reports}. The goals are frozen and the grip kept. Look at the part, check the servo "
+            "and its supply, then clear the fault and release"
+        )
 
     def _check_range(self, index: int, servo: ServoState, last_rad: float, *, loaded: bool) -> None:
         low_rad, high_rad = self._lowest_rad[index], self._highest_rad[index]

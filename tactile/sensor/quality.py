@@ -56,6 +56,9 @@ class QualityWatch:
         self._broken = np.zeros(n, dtype=np.bool_)
         self.bad: Mask = self._broken.copy() if tare is None else tare.health.bad
         """Taxels that do not measure, (n_taxels,) bool."""
+        # A force only raises counts: a taxel that rests high and reads 0 does not measure.
+        offset_counts = np.zeros(n) if tare is None else tare.offset_counts
+        self._rests_high = offset_counts > _DROP_SHARE * self._layout.adc_max
 
     def aim(self, force_n: float, aperture_m: float) -> None:
         """Set the set-point of the force in N, 0 for none, and the opening between the pads in m.
@@ -83,9 +86,7 @@ class QualityWatch:
         self.bad = self._broken.copy()
         if self._tare is not None:
             self.bad |= self._tare.health.bad
-            # A force only raises counts: a taxel that rests high and reads 0 does not measure.
-            rests_high = self._tare.offset_counts > _DROP_SHARE * self._layout.adc_max
-            self.bad |= (frame.counts == 0) & rests_high
+            self.bad |= (frame.counts == 0) & self._rests_high
             if self._tare.health.lively:
                 self.bad |= self._repeats >= self._limits.stuck_frames
         if self._tare is None or not same.all():
