@@ -82,7 +82,7 @@ class CellController:
         self.hand = hand
         """Gripper and sensor, for statistics; commands go through the controller."""
         self.journal = journal = Journal(recorder)
-        """Messages for the operator in the recording."""
+        """Messages in the recording; the report shows the important ones."""
         self.life = life = CellLifecycle(hand, journal, clock, config.gripper.contact_force_n)
         """State, fault and requested stop."""
         self._watch = watch = MotionWatch(

@@ -399,7 +399,7 @@ def _notes(recording: Recording, config: CellConfig | None, *, compared: bool) -
         notes.append(f"The recording is not complete: {recording.lost_reason}.")
     if missed := sum(row["kind"] == "no part" for row in recording.events):
         notes.append(f"{missed} grasps found no part.")
-    notes += [row["text"] for row in recording.events if row["kind"] in ("drift", "fault")]
+    notes += [row["text"] for row in recording.events if row["kind"] in ("drift", "fault", "note")]
     if compared:
         notes.append(
             "The level check names the likeliest object by the taxels of one grasp, never UNKNOWN, "

@@ -122,8 +122,7 @@ MakeBench = Callable[..., Bench]
 
 def plain_grasp(label: str, **changes: Any) -> Grasp:
     """Twelve frames of random counts while the fingers close from 40 to 10 mm."""
-    pads = make_pads(((4, 3), (4, 3)))
-    n = 12
+    pads, n = make_pads(((4, 3), (4, 3))), 12
     values: dict[str, Any] = {
         "pads": pads,
         "counts": np.random.default_rng(len(label)).integers(0, 4096, (n, pads.n_taxels)),

@@ -300,8 +300,7 @@ class Driver:
         self, name: str, call: Callable[[], Any], *, release: bool = False, reboot: bool = False
     ) -> bool:
         """Run a command to its end; return whether it did what it was asked for."""
-        asked = release or reboot
-        done = True
+        asked, done = release or reboot, True
         with self.step(name):
             try:
                 with (

@@ -231,8 +231,7 @@ piece = st.integers(1, 40)
 
 @bad_input(stream=servo_streams, harm=damages(), last=statuses, piece=piece)
 def test_status_packets_behind_any_bytes_are_found_and_nothing_else(stream, harm, last, piece):
-    line = Line()
-    wire = spoilt(stream, harm) + QUIET + last
+    line, wire = Line(), spoilt(stream, harm) + QUIET + last
     for part in pieces(wire, piece):
         line.arrive(part)
     packets = iter(line.receive, None)

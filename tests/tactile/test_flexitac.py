@@ -151,8 +151,7 @@ def locked(stream: FrameStream) -> float:
 @pytest.mark.parametrize("cut", [0, 1, 2, 100, 257])
 def test_a_stream_that_is_joined_anywhere_gives_whole_frames(cut: int) -> None:
     sent, stream = frames(8), FrameStream(PROFILE)
-    got = []
-    data = b"".join(sent)[cut:]
+    got, data = [], b"".join(sent)[cut:]
     for start in range(0, len(data), 64):
         got += stream.feed(data[start : start + 64], start / PROFILE.frame_bytes * PERIOD_S)
     assert stream.torn == 0

@@ -61,8 +61,7 @@ def frames(link: TactileLink, n: int) -> list[np.ndarray]:
 def test_whole_frames_come(link, unit) -> None:
     identity = link.start()
     assert (identity.serial, identity.product_code) == (77, 0x408)
-    counts = frames(link, 12)
-    statistics = link.statistics
+    counts, statistics = frames(link, 12), link.statistics
     assert statistics.frames.lost == statistics.frames.torn == statistics.frames.corrupt == 0
     assert all(one.shape == (408,) for one in counts)
     assert any((a != b).any() for a, b in pairwise(counts))

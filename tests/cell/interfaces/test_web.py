@@ -119,8 +119,7 @@ def check_refusal(answered: int, answer: Any, *, status: int) -> None:
 
 
 def test_the_state_says_what_is_allowed_and_since_when(served, host) -> None:
-    begin_s = time.time()
-    now = host.get("/api/state")
+    begin_s, now = time.time(), host.get("/api/state")
     assert begin_s - 1.0 <= now["time_s"] <= time.time() + 1.0
     may = {task for task, refused in now["allowed"].items() if refused is None}
     assert may == {"teach", "gauge", "zero", "identify", "grip", "sort", "release", "shutdown"}
@@ -455,8 +454,7 @@ def test_a_socket_that_takes_nothing_is_cut(serve, monkeypatch) -> None:
     for name in ("_PEER_IDLE_S", "_PEER_ASKED_S", "_PEER_ASKED_MAX"):
         monkeypatch.setattr(f"cell.interfaces.access.{name}", 1)
     service = serve(serve__http_port=0, serve__request_timeout_s=0.3).service
-    interface = WebInterface(service)
-    link = socket.socket()
+    interface, link = WebInterface(service), socket.socket()
     link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     link.connect(("127.0.0.1", interface.port))
     request = (

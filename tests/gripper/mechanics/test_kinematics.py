@@ -30,8 +30,7 @@ def test_angle_and_aperture_come_back(linkage: Linkage, aperture_m: float) -> No
 @settings(max_examples=80)
 @given(LINKAGES, st.floats(0.0, 0.03))
 def test_torque_follows_from_virtual_work(linkage: Linkage, aperture_m: float) -> None:
-    angle = linkage.angles_rad(aperture_m)[0]
-    h = 1e-6
+    angle, h = linkage.angles_rad(aperture_m)[0], 1e-6
     higher = linkage.aperture_m([angle + h] * linkage.n_servos)
     lower = linkage.aperture_m([angle - h] * linkage.n_servos)
     opening_per_servo = (higher - lower) / (2 * h) / linkage.n_servos

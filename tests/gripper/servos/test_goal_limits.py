@@ -38,9 +38,7 @@ def make_writer(settings: GripperSettings = PAIR, drives: Drives | None = None) 
 
 @pytest.mark.parametrize(("over_n", "at_most_s"), [(0.8, 0.03), (3.0, 0.006)])
 def test_the_cap_is_noticed_the_sooner_the_more_it_is_passed(over_n, at_most_s) -> None:
-    draw = random.Random(4)
-    writer = make_writer(SETTINGS)
-    reported_s = None
+    draw, writer, reported_s = random.Random(4), make_writer(SETTINGS), None
     for i in range(2200):
         t_s = 0.005 * i
         force_n = SETTINGS.force_max_n + (over_n if t_s > 10.0 else -0.5) + draw.gauss(0.0, 0.3)

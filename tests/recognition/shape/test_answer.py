@@ -342,8 +342,7 @@ def test_a_length_is_found_too_and_the_text_says_the_same_as_the_plain_data(pads
 
 @pytest.mark.slow
 def test_the_interval_holds_the_size_as_often_as_it_says(pads: PadArray) -> None:
-    rng = np.random.default_rng(3)
-    held = 0
+    rng, held = np.random.default_rng(3), 0
     for seed in range(24):
         size_mm = float(rng.uniform(6.0, 14.0))
         offset_m = float(rng.normal(0.0, 0.2e-3))

@@ -143,8 +143,7 @@ def test_a_stall_is_caught_up_in_pieces_or_left_out(stepped: Stepped) -> None:
     world, cell = stepped.cell.devices.world, stepped.cell
     step = Mock(side_effect=cell.devices.mechanics.step)
     world._fingers = Mock(finger_position_m=(0.015, 0.015), step=step)
-    now_s = stepped.now_s + 0.1
-    per_call = []
+    now_s, per_call = stepped.now_s + 0.1, []
     for _ in range(6):
         step.reset_mock()
         cell.step(now_s, [])

@@ -130,8 +130,7 @@ def test_peaks_lie_in_the_useful_range_of_8_bit_counts(bench, name: str) -> None
 
 
 def test_a_ball_prints_round_a_cylinder_long_and_a_box_flat() -> None:
-    layout = pinch_layout()
-    spreads = {}
+    layout, spreads = pinch_layout(), {}
     for name in ("ball", "cylinder", "box"):
         bench = Bench(layout)
         bench.world.place(name)

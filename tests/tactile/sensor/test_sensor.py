@@ -360,8 +360,7 @@ def test_without_pads_beside_the_grip_only_open_pads_are_judged() -> None:
 
 def test_read_waits_for_a_new_frame_and_latest_keeps_it(sensor, frames) -> None:
     assert sensor.latest is None
-    before_s = frames.now_s
-    reading = sensor.read(0.5)
+    before_s, reading = frames.now_s, sensor.read(0.5)
     assert reading.t_s >= before_s
     assert sensor.latest is reading
     assert sensor.poll() == ()
