@@ -573,9 +573,16 @@ def test_a_name_of_two_packages_is_refused(installed: Install) -> None:
         ("SERVO", "TypeError: some_plugins:SERVO is not a SensorConfig"),
     ],
 )
-def test_doctor_names_what_does_not_load(installed: Install, entry: str, problem: str) -> None:
-    installed(sensors={"broken": entry}, recognizers={"fine": "Glove"})
-    with pytest.raises(CellError, match=r"1 of \d+ plugins do not load"):
+def test_what_does_not_load_is_named(
+    installed: Install, tmp_path: Path, entry: str, problem: str
+) -> None:
+    installed(sensors={"broken": entry}, recognizers={"fine": "Glove", "gone": "Missing"})
+    (config := tmp_path / "cell.yaml").write_text(
+        "gripper: {port: simulated}\nrecognition: {recognizer: gone}\n"
+    )
+    with pytest.raises(ConfigError, match=r"gone' of some-plugins 1.0.0 does not load: "):
+        call("config", "check", config)
+    with pytest.raises(CellError, match=r"2 of \d+ plugins do not load"):
         call("doctor", "--plugins")
     (one,) = (plugin for plugin in SENSORS.examine() if plugin.problem)
     assert (one.name, one.package) == ("broken", "some-plugins 1.0.0")

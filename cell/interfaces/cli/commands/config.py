@@ -11,6 +11,7 @@ from cell.errors import ConfigError
 from cell.files import write_text
 from cell.interfaces.cli import options
 from cell.interfaces.cli.terminal import print_line, print_note
+from cell.plugins import RECOGNIZERS
 from cell.simulation import simulator_settings
 
 
@@ -60,6 +61,7 @@ def check(
 ) -> None:
     """Check a config file."""
     config = load_config(path)
+    RECOGNIZERS[config.recognition.recognizer]  # raises if it does not load
     if config.simulated:
         simulator_settings(config)
     for note in config.notes:
