@@ -97,40 +97,31 @@ class _Request(NamedTuple):
     """Parameters of the instruction packet, unstuffed."""
 
 
+@dataclass(slots=True)
 class _StrayData:
     """Invalid data since the last correct answer, for error messages."""
 
-    def __init__(self) -> None:
-        self._bytes = self._packets = 0
-        self._head = b""
-
-    def __bool__(self) -> bool:
-        return self._bytes + self._packets > 0
+    n_bytes: int = 0
+    head: bytes = b""
+    """Bytes that are no packet: their number, and the first ones."""
+    n_packets: int = 0
+    """Whole packets that answer no request."""
 
     def __str__(self) -> str:
         parts = []
-        if self._packets:
-            parts.append(f"{self._packets} whole packets that answer no request")
-        if self._bytes:
-            text = f" ({self._head!r})" if _PRINTABLE.issuperset(self._head) else ""
+        if self.n_packets:
+            parts.append(f"{self.n_packets} whole packets that answer no request")
+        if self.n_bytes:
+            text = f" ({self.head!r})" if _PRINTABLE.issuperset(self.head) else ""
             parts.append(
-                f"{self._bytes} bytes that are no packet, the first are {self._head.hex(' ')}{text}"
+                f"{self.n_bytes} bytes that are no packet, the first are {self.head.hex(' ')}{text}"
             )
         return f"received were {' and '.join(parts) or 'no bytes'}"
 
     def add(self, dropped: bytes) -> None:
         """Add bytes that are no packet."""
-        self._bytes += len(dropped)
-        self._head = (self._head + dropped)[:_HEAD_BYTES]
-
-    def add_packet(self) -> None:
-        """Count a packet that answers no request."""
-        self._packets += 1
-
-    def forget(self) -> None:
-        """Begin anew: a right answer came."""
-        self._bytes = self._packets = 0
-        self._head = b""
+        self.n_bytes += len(dropped)
+        self.head = (self.head + dropped)[:_HEAD_BYTES]
 
 
 class _NoAnswerError(Exception):
@@ -205,8 +196,7 @@ class ServoBus:
         self.patient = True
         """Whether ping and repetition wait 50 ms for their answers, and all wait for a quiet
         line; else no transaction takes longer than a period allows, see `in_loop`."""
-        self._suspect = False
-        self._suspect_since_s = 0.0
+        self._suspect_since_s: float | None = None
         self._quiet_since_s: float | None = None
         self._outstanding = 0
         self._stray = _StrayData()
@@ -310,7 +300,7 @@ class ServoBus:
         if not register.writable:
             raise errors.LimitExceeded(f"{register.name} is read-only")
         action = f"writing {register} = {raw} to servo {servo_id}"
-        params = _words(self._address(servo_id, register)) + register.encode(raw)
+        params = _words(self._address([servo_id], register)) + register.encode(raw)
         self._ask(_Request(servo_id, Instruction.WRITE, 0, action, params))
 
     def sync_read(self, ids: Sequence[int], block: ct.RegisterBlock) -> dict[int, dict[str, int]]:
@@ -324,7 +314,7 @@ class ServoBus:
             When an answer is still missing; then nothing is returned.
         """
         action, size = f"reading {block} of servos {ids}", block.size
-        params = _words(self._common_address(ids, block), size)
+        params = _words(self._address(ids, block), size)
         if not self.patient:
             # A silent servo must not hide one that answers.
             ids = sorted(ids, key=self.misses.__getitem__)
@@ -354,7 +344,7 @@ class ServoBus:
         values
             Raw value of each item, by servo ID.
         """
-        params = _words(self._common_address(list(values), block), block.size)
+        params = _words(self._address(list(values), block), block.size)
         for servo_id, raws in values.items():
             params += bytes((servo_id,)) + block.encode(raws)
         # No servo answers: a late answer does no harm.
@@ -391,29 +381,29 @@ class ServoBus:
         # The SDK keeps it after a request without an answer.
         self.port.is_using = False
         self._counts["transactions"] += 1
-        if self._suspect and quiet:
+        if self._suspect_since_s is None:
+            return
+        if quiet:
             self._wait_until_quiet()
-        elif self._suspect and self._clock.monotonic() - self._suspect_since_s > _LATE_GUARD_S:
+        elif self._clock.monotonic() - self._suspect_since_s > _LATE_GUARD_S:
             self._mark_clean()
 
-    def _address(self, servo_id: int, what: ct.Register | ct.RegisterBlock) -> int:
-        """Return the address of an item or a block in the control table of a servo's model."""
-        shift = self._ram_shifts.get(servo_id, 0) if what.address >= ct.RAM_START else 0
-        return what.address + shift
-
-    def _common_address(self, ids: Sequence[int], block: ct.RegisterBlock) -> int:
+    def _address(self, ids: Sequence[int], what: ct.Register | ct.RegisterBlock) -> int:
+        """Return the address of an item or a block in the control tables of servos."""
         for servo_id in ids:
             _check_id(servo_id)
-        addresses = {self._address(servo_id, block) for servo_id in ids}
-        if len(addresses) != 1:
+        shifts = {self._ram_shifts.get(servo_id, 0) for servo_id in ids}
+        if what.address < ct.RAM_START:
+            return what.address
+        if len(shifts) != 1:
             raise errors.LimitExceeded(
-                f"servos {ids} have {block} at different addresses: put models with different "
+                f"servos {ids} have {what} at different addresses: put models with different "
                 "control tables on separate lines"
             )
-        return addresses.pop()
+        return what.address + shifts.pop()
 
     def _reading(self, servo_id: int, what: ct.Register | ct.RegisterBlock) -> _Request:
-        params = _words(self._address(servo_id, what), what.size)
+        params = _words(self._address([servo_id], what), what.size)
         action = f"reading {what} of servo {servo_id}"
         return _Request(servo_id, Instruction.READ, what.size, action, params)
 
@@ -431,7 +421,7 @@ class ServoBus:
         _check_id(request.servo_id)
         self._begin(quiet=self.patient)
         try:
-            if self._suspect and not self.patient:
+            if self._suspect_since_s is not None and not self.patient:
                 self._ping(request.servo_id)
             status = _accepted(self._exchange(request))
         except _NoAnswerError as failure:
@@ -450,12 +440,11 @@ class ServoBus:
         return status, self._clock.monotonic() - sent_s
 
     def _mark_suspect(self) -> None:
-        self._suspect = True
         self._suspect_since_s = self._clock.monotonic()
         self._quiet_since_s = None
 
     def _mark_clean(self) -> None:
-        self._suspect = False
+        self._suspect_since_s = None
         self._outstanding = 0
 
     def _retry(
@@ -482,7 +471,7 @@ class ServoBus:
         """
         self._mark_suspect()
         if failure.damaged:
-            received = f" ({self._stray})" if self._stray else ""
+            received = f" ({self._stray})" if self._stray != _StrayData() else ""
             error: errors.BusTimeout | errors.BusCorrupt = errors.BusCorrupt(
                 f"{request.action}: the answers of servo {request.servo_id} arrive "
                 f"damaged{received}: check cable, termination and that no two servos share the ID"
@@ -538,14 +527,14 @@ class ServoBus:
             if status.servo_id == servo_id and not earlier:
                 self._counts["corrupt"] += damaged
                 self.misses[servo_id] = 0
-                self._stray.forget()
+                self._stray = _StrayData()
                 (self.alerts.add if status.alert else self.alerts.discard)(servo_id)
                 return status
             if status.servo_id == servo_id:
                 short = True
                 self._outstanding = max(0, self._outstanding - 1)
             self._counts["late"] += 1
-            self._stray.add_packet()
+            self._stray.n_packets += 1
 
     def _wait_until_quiet(self) -> None:
         """Drop late answers until all came or the line was quiet for ``_LATE_GUARD_S``.
@@ -575,7 +564,7 @@ class ServoBus:
             if status is not None:
                 self._outstanding -= 1
                 self._counts["late"] += 1
-                self._stray.add_packet()
+                self._stray.n_packets += 1
             if status is not None or self._handler.dropped:
                 self._quiet_since_s = now_s
             if self._outstanding > 0 and now_s >= deadline_s:
@@ -585,7 +574,7 @@ class ServoBus:
         self._mark_clean()
 
     def _not_quiet(self, patience_s: float) -> errors.BusTimeout | errors.BusCorrupt:
-        if not self._stray and self._last_error is not None:
+        if self._stray == _StrayData() and self._last_error is not None:
             return type(self._last_error)(*self._last_error.args)
         within = f"within {patience_s:.2g} s" if patience_s else "yet"
         return errors.BusCorrupt(

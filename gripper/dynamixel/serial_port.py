@@ -8,10 +8,10 @@ import os
 import select
 import termios
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import serial
 from serial.tools import list_ports
@@ -225,18 +225,12 @@ class SdkPort:
     def clearPort(self) -> None:  # noqa: N802
         """Forget what has arrived."""
         self._ahead = b""
-        try:
-            self._stream.drop_input()
-        except OSError as error:
-            raise _lost(error) from error
+        self._call(self._stream.drop_input)
 
     def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802
         """Send a packet and return its length."""
         self._unanswered_bytes = len(packet)
-        try:
-            self._stream.write(bytes(packet))
-        except OSError as error:
-            raise _lost(error) from error
+        self._call(self._stream.write, bytes(packet))
         return len(packet)
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
@@ -250,10 +244,7 @@ class SdkPort:
                 self._end_s = self._end_s or now_s + _LONGEST_PACKET * self._byte_s
                 if now_s > self._end_s:
                     return b""
-            try:
-                self._ahead = self._stream.read(max(length, _READ_AHEAD), left_s)
-            except OSError as error:
-                raise _lost(error) from error
+            self._ahead = self._call(self._stream.read, max(length, _READ_AHEAD), left_s)
         data, self._ahead = self._ahead[:length], self._ahead[length:]
         self.passed += data
         return data
@@ -278,7 +269,9 @@ class SdkPort:
         """Return whether the packet's time-out is over, and nothing is left to read."""
         return not self._ahead and self._clock.monotonic() >= self._deadline_s - _TIMER_GRAIN_S
 
-
-def _lost(error: OSError) -> PortLost:
-    """Return the loss of a stream as PortLost; some streams raise that themselves."""
-    return PortLost(f"the servo line is lost: {error}")
+    def _call(self, method: Callable[..., Any], *args: object) -> Any:
+        """Call a method of the stream; its loss is a PortLost, also where it is an OSError."""
+        try:
+            return method(*args)
+        except OSError as error:
+            raise PortLost(f"the servo line is lost: {error}") from error
