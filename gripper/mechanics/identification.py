@@ -110,21 +110,26 @@ def fit_load(
     other one stands. A direction with too little data stays as it was. The earlier friction is a
     prior with its uncertainty.
     """
-    up = _rising(rising, before)
-    if up is None or up.sds[0] > _SUREST * up.values[0]:
+    if (blocks := _moving(rising, _RISE_LOCKED, 1.0 - _ENDS)) is None:
         return before
-    slope, base_a = up.values.tolist()
+    base_sd_a = before.breakaway_a * max(before.friction_sd, _LEAST_FRICTION_SD)
+    start = np.array([before.rising_a_nm, before.breakaway_a])
+    line, sds = _fit(blocks, _rising_a, start, [np.inf, base_sd_a])
+    if sds[0] > _SUREST * line[0]:
+        return before
+    slope, base_a = line.tolist()
     fitted = replace(
         before,
         rising_a_nm=slope,
         falling_a_nm=slope * before.falling_a_nm / before.rising_a_nm,
         breakaway_a=max(base_a, 0.1 * before.breakaway_a),
-        load_sd=max(float(up.sds[0]) / slope, _LEAST_LOAD_SD),
+        load_sd=max(float(sds[0]) / slope, _LEAST_LOAD_SD),
     )
-    down = _falling(falling, up)
-    if down is None:
+    if (blocks := _moving(falling, _ENDS, 1.0 - _FALL_LOCKED)) is None:
         return fitted
-    falls, share, _ = down.values.tolist()
+    start = np.array([_YIELDING[0] * line[0], _YIELDING[0], line[1]])
+    down, _ = _fit(blocks, _falling_a, start, [_YIELDING[1] * line[0], _YIELDING[1], sds[1]])
+    falls, share, _ = down.tolist()
     # A gearing needs no more current to yield than to drive.
     return replace(fitted, falling_a_nm=min(falls, slope), yielding_share=min(share, 1.0))
 
@@ -154,40 +159,20 @@ def grown(point: FreePoint, drive: DriveCharacteristic) -> float:
     return 1.0 + share * (ratio - 1.0)
 
 
-class _Fit(NamedTuple):
-    """Values of a model of current over load, and their standard deviations."""
-
-    values: Array
-    sds: Array
-
-
-def _rising(points: Sequence[LoadPoint], before: DriveCharacteristic) -> _Fit | None:
-    """Return A for each N m of a load that rises, and A without a load."""
-    blocks = _moving(points, _RISE_LOCKED, 1.0 - _ENDS)
-    if blocks is None:
-        return None
-    base_sd_a = before.breakaway_a * max(before.friction_sd, _LEAST_FRICTION_SD)
-    start = np.array([before.rising_a_nm, before.breakaway_a])
-    return _fit(
-        blocks, lambda line, load_nm: line[0] * load_nm + line[1], start, [np.inf, base_sd_a]
-    )
+def _rising_a(values: Array, load_nm: Array) -> Array:
+    """Return currents of loads that rise, by A for each N m, and A without a load."""
+    slope, base_a = values
+    current_a: Array = slope * load_nm + base_a
+    return current_a
 
 
-def _falling(points: Sequence[LoadPoint], up: _Fit) -> _Fit | None:
-    """Return A for each N m of a load that falls, the yielding share, and A without a load."""
-    blocks = _moving(points, _ENDS, 1.0 - _FALL_LOCKED)
-    if blocks is None:
-        return None
-
-    def current_a(values: Array, load_nm: Array) -> Array:
-        slope, share, base_a = values
-        passive_nm = share * base_a / slope
-        above_nm = load_nm - passive_nm
-        by_load_a: Array = above_nm * np.where(above_nm > 0.0, slope, base_a / passive_nm)
-        return by_load_a
-
-    start = np.array([_YIELDING[0] * up.values[0], _YIELDING[0], up.values[1]])
-    return _fit(blocks, current_a, start, [_YIELDING[1] * up.values[0], _YIELDING[1], up.sds[1]])
+def _falling_a(values: Array, load_nm: Array) -> Array:
+    """Return currents of loads that fall, by A for each N m, yielding share, A without a load."""
+    slope, share, base_a = values
+    passive_nm = share * base_a / slope
+    above_nm = load_nm - passive_nm
+    current_a: Array = above_nm * np.where(above_nm > 0.0, slope, base_a / passive_nm)
+    return current_a
 
 
 def _moving(points: Sequence[LoadPoint], least: float, most: float) -> Array | None:
@@ -209,8 +194,10 @@ def _moving(points: Sequence[LoadPoint], least: float, most: float) -> Array | N
 
 def _fit(
     blocks: Array, model: Callable[[Array, Array], Array], start: Array, start_sds: Sequence[float]
-) -> _Fit:
-    """Fit a model of current over load; blocks far from it are left out.
+) -> tuple[Array, Array]:
+    """Fit a model of current over load; return its values and their standard deviations.
+
+    Blocks far from it are left out.
 
     Parameters
     ----------
@@ -235,4 +222,4 @@ def _fit(
         sd_a = max(_ALIKE * float(np.median(off_a)) / 0.6745, 1e-4)
         near = off_a <= _OUTLIER_SIGMAS * sd_a / _ALIKE
         load_nm, current_a = load_nm[near], current_a[near]
-    return _Fit(fitted.x, np.sqrt(np.diag(np.linalg.pinv(fitted.jac.T @ fitted.jac))))
+    return fitted.x, np.sqrt(np.diag(np.linalg.pinv(fitted.jac.T @ fitted.jac)))
