@@ -55,7 +55,7 @@ class Servos:
         self._bus = bus
         self.mechanics = mechanics
         """Of the gripper."""
-        self.settings = self._settings = settings = mechanics.settings
+        self.settings = settings = mechanics.settings
         """Its settings."""
         self._clock = clock
         self._ids = [servo.servo_id for servo in settings.servos]
@@ -76,7 +76,7 @@ class Servos:
         """Read the feedback of all servos in one transaction; errors as in `Feedback.read`."""
         sample = self.goals.fresh_force
         # A load that is unknown may be one.
-        loaded = sample is None or max(sample.force_n) >= self._settings.contact_force_n
+        loaded = sample is None or max(sample.force_n) >= self.settings.contact_force_n
         return self.feedback.read(under_torque=bool(self.goals.last), loaded=loaded)
 
     def read_patiently(self) -> ServoFeedback:
@@ -113,7 +113,7 @@ class Servos:
     @property
     def heats(self) -> bool:
         """Whether a servo has more current than it bears for hours."""
-        pairs = zip(self.goals.last, self._settings.servos, strict=False)
+        pairs = zip(self.goals.last, self.settings.servos, strict=False)
         return any(goal.current_a > servo.servo_model.holding_a for goal, servo in pairs)
 
     def freeze(self, *, supervised: bool = False) -> None:
@@ -127,7 +127,7 @@ class Servos:
         if state is not None and last:
             goals = frozen(last, state)
             if not supervised:
-                goals = for_hours(goals, self._settings)
+                goals = for_hours(goals, self.settings)
             self.goals.write(goals, state, final=True)
 
     def hold_position(self, share: float = 1.0) -> None:
@@ -167,7 +167,7 @@ class Servos:
                 for goal, now in zip(first, self.goals.last, strict=True)
             ]
         else:
-            models = (servo.servo_model for servo in self._settings.servos)
+            models = (servo.servo_model for servo in self.settings.servos)
             goals = [
                 goal._replace(
                     angle_rad=servo.angle_rad + closing_margin_rad(model, -share * goal.current_a),
@@ -182,7 +182,7 @@ class Servos:
         state = self.feedback.last
         if state is None or any(self._bus.misses[servo_id] for servo_id in self._ids):
             return
-        if self._clock.monotonic() - state.t_s > _STALE_PERIODS * self._settings.period_s:
+        if self._clock.monotonic() - state.t_s > _STALE_PERIODS * self.settings.period_s:
             with suppress(errors.GripperError):
                 self.read()
 
@@ -222,10 +222,10 @@ class Servos:
                 raise errors.ServoFault(
                     self._ids[0],
                     "its bus watchdog has tripped while a part was held: the program sent nothing "
-                    f"to the servos for {1e3 * self._settings.watchdog_s:g} ms or more. The servos "
+                    f"to the servos for {1e3 * self.settings.watchdog_s:g} ms or more. The servos "
                     "have stopped, the part may still be gripped. Clear, then release",
                 )
-            state, force_n = limp or self.read_patiently(), self._settings.approach_force_n
+            state, force_n = limp or self.read_patiently(), self.settings.approach_force_n
             paths = self.mechanics.transmissions(state.angles_rad)
             current_a = max(self.mechanics.motion_currents_a(paths, force_n))
             self.restart_watchdog(current_a, switch_on=off)
@@ -241,7 +241,7 @@ class Servos:
         for servo_id in self._ids if switch_on else ():
             self._bus.write(servo_id, ct.TORQUE_ENABLE, 1)
         for servo_id in self._ids:
-            self._bus.write(servo_id, ct.BUS_WATCHDOG, self._settings.watchdog_raw)
+            self._bus.write(servo_id, ct.BUS_WATCHDOG, self.settings.watchdog_raw)
 
     def disarm_watchdog(self, *, but: Sequence[int] = (), keep_trips: bool = False) -> None:
         """Disarm, or clear after a trip, the bus watchdog of each servo (register 98) but some.
@@ -389,7 +389,7 @@ class Servos:
         refuse
             True to raise when a row does not agree.
         """
-        servos = self._settings.servos
+        servos = self.settings.servos
         rows = [row for servo in servos for row in self._verify_one(servo, correct=correct)]
         report = VerificationReport(rows=tuple(rows))
         if correct:
@@ -433,7 +433,7 @@ class Servos:
         self.feedback.check.letting_go = False
 
     def _required(self, servo: ServoSettings) -> tuple[Requirement, ...]:
-        settings = self._settings
+        settings = self.settings
         return requirements(servo.servo_model, settings.current_max_a, settings.temperature_max_c)
 
     def _verify_one(self, servo: ServoSettings, *, correct: bool) -> Iterator[VerificationRow]:
@@ -486,7 +486,7 @@ class Servos:
 
     def _check_register(self, index: int, n_rounds: int) -> None:
         """Read the next register that was verified at the start; all of them in turn."""
-        servo = self._settings.servos[index]
+        servo = self.settings.servos[index]
         required = self._required(servo)
         item = required[n_rounds % len(required)]
         if item.item == ct.HARDWARE_ERROR_STATUS.name:
@@ -559,8 +559,8 @@ class Servos:
             raw = self._bus.read(servo_id, ct.BUS_WATCHDOG)
             if raw == ct.WATCHDOG_TRIPPED_RAW:
                 tripped = True
-            elif raw != self._settings.watchdog_raw:
-                self._bus.write(servo_id, ct.BUS_WATCHDOG, self._settings.watchdog_raw)
+            elif raw != self.settings.watchdog_raw:
+                self._bus.write(servo_id, ct.BUS_WATCHDOG, self.settings.watchdog_raw)
         return tripped
 
     def _check_goal_is_near(self, servo: ServoState, model: ServoModel) -> None:
@@ -600,7 +600,7 @@ class Servos:
         """
         for _ in range(_TRIES):
             state = self.read_patiently()
-            for servo, settings in zip(state.servos, self._settings.servos, strict=True):
+            for servo, settings in zip(state.servos, self.settings.servos, strict=True):
                 self._check_goal_is_near(servo, settings.servo_model)
             self.goals.write(
                 [ServoGoal(angle_rad=angle, current_a=current_a) for angle in state.angles_rad],
