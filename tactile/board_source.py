@@ -48,8 +48,8 @@ class Board:
 
     def __init__(self, name: str, n_frames: int = _LOSS_FRAMES, *, streams: bool = True) -> None:
         self.name, self._streams = name, streams
-        self.sound: deque[bool] = deque(maxlen=n_frames)
-        """Whether each of its newest frames was whole."""
+        self.ended: deque[tuple[float, bool]] = deque(maxlen=n_frames)
+        """Time in s of the end of each of its newest frames, and whether it was whole."""
         self.waiting: list[BoardSamples] = []
         """Its new frames that wait for those of the other boards."""
         self._changes: deque[bool] = deque(maxlen=_LIVELY_FRAMES)
@@ -57,7 +57,7 @@ class Board:
 
     def restart(self, now_s: float, counts: FrameStatistics) -> None:
         """Discard all frames at the start of the source, whose counts are updated from now on."""
-        self.sound.clear()
+        self.ended.clear()
         self.waiting.clear()
         self._changes.clear()
         self.last_s, self.seen, self.counts = now_s, False, counts
@@ -75,15 +75,20 @@ class Board:
         # Late frames come in a burst, whose times go back beyond that of a frame before.
         t_s = max(t_s, self.last_s)
         self._changes.append(not same)
-        self.sound.append(True)
+        self.ended.append((t_s, True))
         self._last, self.last_s, self.seen = samples, t_s, True
         self.waiting.append((begun_s, t_s, samples))
+
+    def tore(self, t_s: float) -> None:
+        """Count a frame that ended without all its bytes or messages."""
+        self.counts.torn += 1
+        self.ended.append((t_s, False))
 
     @property
     def loss_rate(self) -> float:
         """Share of its newest frames that were damaged; 0 until there are enough."""
-        n = len(self.sound)
-        return (n - sum(self.sound)) / n if n == self.sound.maxlen else 0.0
+        n = len(self.ended)
+        return sum(not whole for _, whole in self.ended) / n if n == self.ended.maxlen else 0.0
 
     @property
     def trouble(self) -> str:
@@ -222,7 +227,7 @@ class PolledBoards(LatchingSource, ABC, Generic[_Board]):
             )
         if board.loss_rate > self._max_loss_rate:
             raise FrameTimeout(
-                f"{board.loss_rate:.0%} of the last {board.sound.maxlen} frames of {board.name} "
+                f"{board.loss_rate:.0%} of the last {board.ended.maxlen} frames of {board.name} "
                 f"were damaged, allowed are {self._max_loss_rate:.0%} (tactile.loss_max_share): "
                 "check its cable, and what else loads its line and the computer"
             )
@@ -295,7 +300,7 @@ class BoardSource(PolledBoards[Board]):
     def damaged(self) -> None:
         """Count an unusable frame."""
         self._counts.frames.corrupt += 1
-        self._board.sound.append(False)
+        self._board.ended.append((self.clock.monotonic(), False))
 
     def _receive(self) -> Sequence[TactileFrame]:
         now_s = self.clock.monotonic()

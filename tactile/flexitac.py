@@ -54,24 +54,58 @@ PROFILES: Mapping[str, Profile] = {
 """The sizes of available boards."""
 
 
-class FrameStream:
-    """Converts the bytes of one board to its whole frames."""
+class BoardLine(Protocol):
+    """Serial line of a board."""
 
-    def __init__(self, profile: Profile) -> None:
-        self._profile = profile
+    def read(self, size: int, timeout_s: float, /) -> bytes:
+        """Return 1 to ``size`` bytes as soon as one is available, b"" after ``timeout_s`` s."""
+
+    def close(self) -> None:
+        """Close the line; may be called twice."""
+
+
+class FlexiTacBoard(Board):
+    """One board: converts its bytes to whole frames."""
+
+    def __init__(self, finger: int, profile: Profile, *, rows_along: bool) -> None:
+        self._profile, self._rows_along = profile, rows_along
         self._size = profile.frame_bytes
-        self.torn = 0
-        """Frames that were discarded because the next header was not at its place."""
-        self.reset()
+        super().__init__(f"the board of finger {finger}")
 
-    def reset(self) -> None:
+    def restart(self, now_s: float, counts: FrameStatistics) -> None:
+        """Discard all frames at the start of the source."""
+        super().restart(now_s, counts)
+        self._unlock()
+
+    def _unlock(self) -> None:
         """Discard all bytes and the lock."""
         self._bytes = bytearray()
         self._begun_s = 0.0
         self.locked = False
         """Whether one offset of the header is known."""
-        self.trouble = "it sends nothing"
-        """Reason for the missing lock."""
+        self._unlocked_by = "it sends nothing"
+
+    @property
+    def trouble(self) -> str:
+        """Reason of its silence and next step."""
+        return self._unlocked_by or super().trouble
+
+    def receive(self, line: BoardLine, now_s: float, *, stalled: bool) -> None:
+        """Receive the available bytes of its line."""
+        data = b""
+        while piece := line.read(_READ_BYTES, 0.0):
+            data += piece
+        if stalled:
+            self._unlock()
+            self.waiting.clear()
+            # The board may be silent until the stream has locked again.
+            self.last_s = now_s
+            return
+        for t_s, samples in self.feed(data, now_s):
+            matrix = np.frombuffer(samples, dtype=np.uint8).reshape(self._profile)
+            pad = (matrix if self._rows_along else matrix.T).astype(np.uint16).ravel()
+            # A board scans and sends without a pause: its mean taxel is half a period older.
+            self.saw(t_s - 0.5 * PERIOD_S, t_s, pad)
 
     def feed(self, data: bytes, now_s: float) -> list[tuple[float, bytes]]:
         """Return the frames completed by these bytes, found at ``now_s`` s, oldest first.
@@ -89,7 +123,7 @@ class FrameStream:
             behind = bytes(self._bytes[self._size : self._size + len(HEADER)])
             in_place = self._bytes.startswith(HEADER) and HEADER.startswith(behind)
             if not in_place:
-                self.torn += 1
+                self.tore(now_s)
                 self.locked = False
                 self._find_lock(now_s)
                 break
@@ -111,11 +145,11 @@ class FrameStream:
         if len(offsets) == 1:
             # The time of bytes before the newest frames is unknown.
             del self._bytes[: offsets[0] + (n_frames - 1) * self._size]
-            self._begun_s, self.locked, self.trouble = now_s, True, ""
+            self._begun_s, self.locked, self._unlocked_by = now_s, True, ""
             return
         if offsets and n_frames < _AMBIGUOUS_FRAMES:
             return
-        self.trouble = (
+        self._unlocked_by = (
             f"its stream is ambiguous: AA 55 is at {len(offsets)} places of each frame, for "
             "example under a static load: take the load off the pad"
             if offsets
@@ -140,57 +174,6 @@ def _offsets(data: bytearray, size: int, n_frames: int) -> list[int]:
     return np.flatnonzero(headers.reshape(n_frames, size).all(axis=0)).tolist()
 
 
-class BoardLine(Protocol):
-    """Serial line of a board."""
-
-    def read(self, size: int, timeout_s: float, /) -> bytes:
-        """Return 1 to ``size`` bytes as soon as one is available, b"" after ``timeout_s`` s."""
-
-    def close(self) -> None:
-        """Close the line; may be called twice."""
-
-
-class _Board(Board):
-    """One board: the frames in its bytes."""
-
-    def __init__(self, finger: int, profile: Profile, *, rows_along: bool) -> None:
-        self.stream = FrameStream(profile)
-        self._shape, self._rows_along = profile, rows_along
-        super().__init__(f"the board of finger {finger}")
-
-    def restart(self, now_s: float, counts: FrameStatistics) -> None:
-        """Discard all frames at the start of the source."""
-        super().restart(now_s, counts)
-        self.stream.reset()
-
-    @property
-    def trouble(self) -> str:
-        """Reason of its silence and next step."""
-        return self.stream.trouble or super().trouble
-
-    def receive(self, line: BoardLine, now_s: float, *, stalled: bool) -> None:
-        """Receive the available bytes of its line."""
-        data = b""
-        while piece := line.read(_READ_BYTES, 0.0):
-            data += piece
-        if stalled:
-            self.stream.reset()
-            self.waiting.clear()
-            # The board may be silent until the stream has locked again.
-            self.last_s = now_s
-            return
-        torn = self.stream.torn
-        frames = self.stream.feed(data, now_s)
-        if self.stream.torn > torn:
-            self.counts.torn += 1
-            self.sound.append(False)
-        for t_s, samples in frames:
-            matrix = np.frombuffer(samples, dtype=np.uint8).reshape(self._shape)
-            pad = (matrix if self._rows_along else matrix.T).astype(np.uint16).ravel()
-            # A board scans and sends without a pause: its mean taxel is half a period older.
-            self.saw(t_s - 0.5 * PERIOD_S, t_s, pad)
-
-
 def check_layout(layout: TaxelLayout, profile: Profile, *, rows_along: bool) -> None:
     """Raise LayoutError where a layout has other pads than two of the profile's size."""
     size = profile if rows_along else profile[::-1]
@@ -202,7 +185,7 @@ def check_layout(layout: TaxelLayout, profile: Profile, *, rows_along: bool) -> 
         )
 
 
-class FlexiTacSource(PolledBoards[_Board]):
+class FlexiTacSource(PolledBoards[FlexiTacBoard]):
     """Two FlexiTac boards; implements `tactile.source.FrameSource`.
 
     A frame consists of the newest frames of both boards, as soon as both have a new one. Raises
@@ -230,7 +213,7 @@ class FlexiTacSource(PolledBoards[_Board]):
         **options: Any,
     ) -> None:
         check_layout(layout, profile, rows_along=rows_along)
-        boards = [_Board(finger, profile, rows_along=rows_along) for finger in (0, 1)]
+        boards = [FlexiTacBoard(finger, profile, rows_along=rows_along) for finger in (0, 1)]
         super().__init__("FlexiTac", boards, layout=layout, period_s=PERIOD_S, **options)
         self.unit = f"new frame of {profile.rows} x {profile.columns}"
         self._open_lines = open_lines

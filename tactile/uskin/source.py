@@ -4,7 +4,6 @@ The messages have neither counter nor checksum. A cycle of a board is whole when
 has sent once. If a taxel sends twice before, another message was lost, or there is a second board.
 """
 
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -46,7 +45,6 @@ class _Board(Board):
         super().restart(now_s, counts)
         self._xyz: dict[int, tuple[int, int, int]] = {}
         self._begun_s = self._message_s = now_s
-        self._ends_s: deque[float] = deque(maxlen=_CYCLES)
 
     @property
     def trouble(self) -> str:
@@ -58,9 +56,7 @@ class _Board(Board):
         place = self._place[identifier]
         gap_s, self._message_s = t_s - self._message_s, t_s
         if place in self._xyz or (self._xyz and gap_s > _GAP_SHARE * PERIOD_S):
-            self.counts.torn += 1
-            self._ends_s.append(t_s)
-            self.sound.append(False)
+            self.tore(t_s)
             self._xyz.clear()
         if not self._xyz:
             self._begun_s = t_s
@@ -71,8 +67,6 @@ class _Board(Board):
             if self._falling:
                 cycle[:, 0] = FULL_SCALE - cycle[:, 0]
             self.saw(self._begun_s, t_s, cycle)
-            if not self._repeated:
-                self._ends_s.append(t_s)
             self._xyz.clear()
 
     @property
@@ -85,14 +79,13 @@ class _Board(Board):
     def mixed(self) -> int:
         """Cycles of the last periods that ended too early."""
         since_s = self._message_s - _MIXED_PERIODS * PERIOD_S
-        ended = zip(self._ends_s, self.sound, strict=True)
-        return sum(t_s > since_s and not whole for t_s, whole in ended)
+        return sum(t_s > since_s and not whole for t_s, whole in self.ended)
 
     @property
     def doubled(self) -> bool:
         """Whether the rate of the taxels is so high that two boards must send them."""
-        full = len(self._ends_s) == _CYCLES
-        span_s = self._ends_s[-1] - self._ends_s[0] if full else _CYCLES * PERIOD_S
+        full = len(self.ended) == _CYCLES
+        span_s = self.ended[-1][0] - self.ended[0][0] if full else _CYCLES * PERIOD_S
         return self.mixed >= _MIXED or span_s < _CYCLES * PERIOD_S / _DOUBLED
 
 

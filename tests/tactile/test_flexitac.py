@@ -12,7 +12,7 @@ from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from tactile.board_source import Board
 from tactile.errors import FrameTimeout, LayoutError, LinkFault
-from tactile.flexitac import HEADER, PROFILES, FlexiTacSource, FrameStream
+from tactile.flexitac import HEADER, PROFILES, FlexiTacBoard, FlexiTacSource
 from tactile.layout import LAYOUTS, TaxelLayout
 from tactile.source import ScanStatus
 from tests.tactile.conftest import run
@@ -129,8 +129,8 @@ PERIOD_S = 0.01
 
 
 @pytest.fixture
-def stream() -> FrameStream:
-    return FrameStream(PROFILE)
+def stream() -> FlexiTacBoard:
+    return FlexiTacBoard(0, PROFILE, rows_along=False)
 
 
 def frames(n: int, seed: int = 0, profile: str = "16x16") -> list[bytes]:
@@ -140,7 +140,7 @@ def frames(n: int, seed: int = 0, profile: str = "16x16") -> list[bytes]:
     return [HEADER + rng.integers(10, 40, size, dtype=np.uint8).tobytes() for _ in range(n)]
 
 
-def locked(stream: FrameStream) -> float:
+def locked(stream: FlexiTacBoard) -> float:
     """Lock a stream and return the time of its last frame in s."""
     for number, frame in enumerate(frames(4, seed=9)):
         stream.feed(frame, number * PERIOD_S)
@@ -149,12 +149,12 @@ def locked(stream: FrameStream) -> float:
 
 
 @pytest.mark.parametrize("cut", [0, 1, 2, 100, 257])
-def test_a_stream_that_is_joined_anywhere_gives_whole_frames(cut: int) -> None:
-    sent, stream = frames(8), FrameStream(PROFILE)
-    got, data = [], b"".join(sent)[cut:]
+def test_a_stream_that_is_joined_anywhere_gives_whole_frames(stream, cut: int) -> None:
+    sent, got = frames(8), []
+    data = b"".join(sent)[cut:]
     for start in range(0, len(data), 64):
         got += stream.feed(data[start : start + 64], start / PROFILE.frame_bytes * PERIOD_S)
-    assert stream.torn == 0
+    assert stream.counts.torn == 0
     assert len(got) >= 4
     # Bytes that trickle in without a pause show the end of the last frame by the next header.
     assert [samples for _, samples in got] == [frame[2:] for frame in sent[:-1][-len(got) :]]
@@ -180,14 +180,13 @@ def test_a_header_inside_that_comes_and_goes_does_not_matter(stream, marked) -> 
 
 @pytest.mark.parametrize("place", [2, 3, 128, 257])
 @pytest.mark.parametrize("extra", [False, True])
-def test_a_frame_that_lost_or_gained_a_byte_is_never_handed_out(place: int, extra: bool) -> None:
-    sent, stream = frames(12), FrameStream(PROFILE)
-    now_s = locked(stream)
+def test_a_frame_that_lost_or_gained_a_byte_is_never_handed_out(stream, place, extra) -> None:
+    sent, now_s = frames(12), locked(stream)
     hurt = sent[2][:place] + (b"\x07" + sent[2][place:] if extra else sent[2][place + 1 :])
     whole, got = {frame[2:] for frame in sent}, []
     for number, frame in enumerate([*sent[:2], hurt, *sent[3:]], start=1):
         got += stream.feed(frame, now_s + number * PERIOD_S)
-    assert stream.torn == 1
+    assert stream.counts.torn == 1
     assert {samples for _, samples in got} <= whole
     # Three frames lock it anew.
     assert [samples for _, samples in got][-6:] == [frame[2:] for frame in sent[-6:]]
@@ -200,7 +199,7 @@ def test_a_frame_that_ends_with_a_byte_of_the_next_one_waits_for_its_header(stre
     # The first byte of the next frame fills the place of the lost one, a period late.
     assert stream.feed(other[:1], now_s + 2 * PERIOD_S) == []
     assert stream.feed(other[1:], now_s + 2 * PERIOD_S + 0.002) == []
-    assert stream.torn == 1
+    assert stream.counts.torn == 1
 
 
 def test_bytes_without_frames_are_named(stream) -> None:

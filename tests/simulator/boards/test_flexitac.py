@@ -17,7 +17,7 @@ from simulator.cell import SimulatedCell
 from simulator.clock import VirtualClock
 from simulator.realtime.terminals import BoardPty
 from simulator.settings import SimulatorSettings
-from tactile.flexitac import PROFILES, FrameStream
+from tactile.flexitac import PROFILES, FlexiTacBoard
 from tactile.layout import LAYOUTS
 
 LAYOUT = LAYOUTS["flexitac_12x32"]()
@@ -62,7 +62,7 @@ def test_the_foreign_package_and_our_reader_agree_frame_by_frame(profile, tmp_pa
         pty.close()
         assert theirs[-1].max() > 60
         assert theirs[-1].shape == (size.rows, size.columns)
-        stream, ours = FrameStream(size), []
+        stream, ours = FlexiTacBoard(0, size, rows_along=False), []
         for _ in range(60):
             clock.sleep(0.005)
             ours += stream.feed(board.transmit(clock.monotonic()), clock.monotonic())
