@@ -160,7 +160,6 @@ class Cia402Drive(Axis):
         home = None if settings.homing is None else settings.home
         super().__init__(settings, f"drive {node_id}", bus.watch, home)
         self._bus = bus
-        self._node_id = node_id
         self._home_count = round((home or 0.0) * settings.increments)
         self._client = PolledSdoClient(
             node_id,
@@ -174,7 +173,6 @@ class Cia402Drive(Axis):
         self._client.network = bus  # it names the failures of the interface
         self._heard_s = 0.0
         self._nmt_state = _OPERATIONAL
-        self._surplus = 0
         self._homed = False
         self._supervised = False
         self._target = 0
@@ -189,7 +187,7 @@ class Cia402Drive(Axis):
         Raises AxisNotOperational if it is stopped, AxisDuplicated for two drives.
         """
         self._supervised, self._nmt_state = False, _OPERATIONAL
-        self._surplus = self._client.surplus
+        self._client.surplus = 0
         kind = self._read("Device type")
         if kind & 0xFFFF != od.PROFILE_402:
             raise errors.AxisMissing(
@@ -247,7 +245,7 @@ class Cia402Drive(Axis):
         """Check that the drive still answers, is enabled and has no fault."""
         self._bus.drop_old()
         self._heard_s = self._watch.clock.monotonic()
-        self._surplus = self._client.surplus
+        self._client.surplus = 0
         self._supervised = True
         if self._state() == "QUICK STOP ACTIVE":
             self._enable()
@@ -308,7 +306,7 @@ class Cia402Drive(Axis):
     def check(self) -> None:
         """Raise an error from heartbeat and answers since the last check."""
         self._bus.service()
-        surplus = self._client.surplus - self._surplus
+        surplus = self._client.surplus
         if surplus >= _SURPLUS_ANSWERS:
             raise errors.AxisDuplicated(
                 f"{self.label} sent {surplus} SDO answers more than there were requests: a second "
@@ -339,7 +337,7 @@ class Cia402Drive(Axis):
 
     def _command(self, command: str) -> None:
         """Command an NMT state."""
-        self._bus.send_message(od.COB_NMT, bytes((NMT_COMMANDS[command], self._node_id)))
+        self._bus.send_message(od.COB_NMT, bytes((NMT_COMMANDS[command], self.settings.node_id)))
 
     def _set_up(self) -> None:
         settings, counts = self.settings, self.settings.counts

@@ -78,7 +78,9 @@ class PolledSdoClient(SdoClient):
         self._service = service
         self._wait = wait
         self._timeout_s = timeout_s
-        self._requests = self._answers = self._responses = 0
+        self._responses = 0
+        self.surplus = 0
+        """Number of answers over requests: from a second server, or to another client."""
 
     def __getitem__(self, index: int | str) -> Any:
         """Return an object of the node, by its name in the EDS."""
@@ -102,14 +104,9 @@ class PolledSdoClient(SdoClient):
         """Return the values that the EDS has for the objects of a record, by their names."""
         return {variable.qualname: variable.default for variable in self[record].od.values()}
 
-    @property
-    def surplus(self) -> int:
-        """Number of answers over requests: from a second server, or to another client."""
-        return self._answers - self._requests
-
     def send_request(self, request: bytes | bytearray) -> None:
         """Send a request, or an abort, which has no answer."""
-        self._requests += request[0] != sdo.REQUEST_ABORTED
+        self.surplus -= request[0] != sdo.REQUEST_ABORTED
         super().send_request(request)  # type: ignore[no-untyped-call]
 
     def upload(self, index: int, subindex: int) -> bytes:
@@ -134,7 +131,7 @@ class PolledSdoClient(SdoClient):
 
     def on_response(self, can_id: int, data: bytes | bytearray, timestamp: float) -> None:
         """Process a message of the SDO server."""
-        self._answers += 1
+        self.surplus += 1
         super().on_response(can_id, data, timestamp)  # type: ignore[no-untyped-call]
 
     def until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
