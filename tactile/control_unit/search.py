@@ -38,11 +38,6 @@ class BusTraffic:
     """Node-IDs of heartbeats, boot-up messages and answers."""
 
 
-def listen(bus: can.BusABC, duration_s: float) -> BusTraffic:
-    """Listen to a bus for ``duration_s`` s; nothing is sent. Raises BusOff as the receiver."""
-    return _traffic(bus, duration_s, requests=())
-
-
 def scan_nodes(bus: can.BusABC) -> BusTraffic:
     """Ask each of the 127 node-IDs for its device type (object 1000h); nothing is written.
 
@@ -52,12 +47,15 @@ def scan_nodes(bus: can.BusABC) -> BusTraffic:
         can.Message(0.0, COB_SDO_REQUEST + node, False, data=_READ_DEVICE_TYPE) for node in _NODES
     ]
     with suppress(BusOff):
-        return _traffic(bus, _ANSWER_S, requests)
+        return listen(bus, _ANSWER_S, requests)
     return BusTraffic(messages=0, errors=0, nodes=())
 
 
-def _traffic(bus: can.BusABC, duration_s: float, requests: Sequence[can.Message]) -> BusTraffic:
-    """Return what is received while requests are sent, and in a time in s after them."""
+def listen(bus: can.BusABC, duration_s: float, requests: Sequence[can.Message] = ()) -> BusTraffic:
+    """Return what is received while requests are sent, and for ``duration_s`` s after them.
+
+    Raises BusOff as the receiver.
+    """
     source, scanner = message_source(bus), NodeScanner()
     source.start()
     with closing(source):
