@@ -147,13 +147,6 @@ class TaxelLayout:
         for key, value in derived.items():
             object.__setattr__(self, key, value)
 
-    def __eq__(self, other: object) -> bool:
-        """Two layouts are equal when their hashes are."""
-        return isinstance(other, TaxelLayout) and self.layout_hash == other.layout_hash
-
-    def __hash__(self) -> int:
-        return hash(self.layout_hash)
-
     @property
     def n_pads(self) -> int:
         """Number of pads."""
