@@ -5,13 +5,11 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import can
 import canopen
 from canopen.sdo import constants as sdo
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
-from tactile.can.bus import interface_failed
 from tactile.clock import Clock
 from tactile.errors import NodeMissing, ObjectRefused
 
@@ -45,7 +43,7 @@ class PolledSdoClient(SdoClient):
 
     ``client["Identity object.Vendor-ID"].raw`` reads an object by its name in the EDS, and an
     assignment writes it. Lost transfers are repeated. Raises NodeMissing without a usable answer,
-    ObjectRefused for an abort, and BusOff if the CAN interface fails.
+    and ObjectRefused for an abort. Its ``network`` names the failures of the interface.
 
     Parameters
     ----------
@@ -177,10 +175,6 @@ class PolledSdoClient(SdoClient):
                     continue
                 advice = _ADVICE.get(error.code >> 16, _UPDATE)
                 raise ObjectRefused(f"{what} was refused ({error}): {advice}") from error
-            except (can.CanError, OSError) as error:
-                if isinstance(error, TimeoutError) and not isinstance(error, can.CanError):
-                    raise  # of the supervision during the wait
-                raise interface_failed(error) from error
         silent = isinstance(failure, SdoNotAnswered)
         advice = "check supply, CAN cable and node-ID" if silent else "update the unit's firmware"
         raise NodeMissing(f"{what} failed {_ATTEMPTS} times: {failure}; {advice}") from failure

@@ -8,6 +8,7 @@ and unknown states, which some units send.
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 import can
 import canopen
@@ -42,6 +43,17 @@ _LEAST_GAP = 0.9
 """Least pause after a late SYNC in periods, so that the next one does not cut into the burst."""
 _SYNC_EARLY_S = 1e-6
 """Tolerance in s for a caller that polls in step with SYNC, because of rounding errors."""
+
+
+class UnitNetwork(canopen.Network):
+    """The unit's CAN bus, for the link and its transfers."""
+
+    def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
+        """Send a message. Raises BusOff when the interface fails."""
+        try:
+            super().send_message(can_id, data, remote)
+        except (can.CanError, OSError) as error:
+            raise interface_failed(error) from error
 
 
 class Mounting:
@@ -140,7 +152,7 @@ class TactileLink(LatchingSource):
         self._source = message_source(self._bus)
         self.clock = self._source.clock
         """The clock of the bus."""
-        self._network = canopen.Network(self._bus)
+        self._network = UnitNetwork(self._bus)
         self._network.unsubscribe(self._network.lss.LSS_RX_COBID)
         self.objects = PolledSdoClient(
             node_id,
@@ -309,7 +321,7 @@ class TactileLink(LatchingSource):
 
     def _command(self, name: str) -> None:
         """Send an NMT command to the unit, by its name in ``canopen.nmt.NMT_COMMANDS``."""
-        self._send(od.COB_NMT, bytes((NMT_COMMANDS[name], self._node_id)))
+        self._network.send_message(od.COB_NMT, bytes((NMT_COMMANDS[name], self._node_id)))
 
     def _service(self) -> None:
         """Process received messages, check the deadlines, send SYNC when due.
@@ -352,12 +364,6 @@ class TactileLink(LatchingSource):
                 "supply, node-ID, bit rate, CAN cable and termination"
             )
 
-    def _send(self, cob_id: int, data: bytes) -> None:
-        try:
-            self._network.send_message(cob_id, data)
-        except (can.CanError, OSError) as error:
-            raise interface_failed(error) from error
-
     def _dispatch(self) -> None:
         network, watch = self._network, self._watch
         for t_s, message in self._source.drain():
@@ -374,7 +380,7 @@ class TactileLink(LatchingSource):
 
     def _sync(self, now_s: float, due_s: float) -> None:
         self._flow.before_sync()
-        self._send(od.COB_SYNC, b"")
+        self._network.send_message(od.COB_SYNC, b"")
         self._counts.requests += 1
         period_s = self.settings.sync_period_s
         if now_s - due_s >= period_s:
