@@ -127,14 +127,9 @@ class MoveTo:
         else:
             fastest_m_s = closing_speed_m_s(mechanics, state.angles_rad)
             speed_m_s = min(speed_m_s or settings.approach_speed_m_s, fastest_m_s)
-        rate_rad_s = speed_m_s / sum(map(linkage.opening_per_rad_m, state.angles_rad))
-        closed_rad = most_closed_rad(mechanics)
-        self._fingers = [
-            _Finger(servo, start_rad, end_rad, rate_rad_s=rate_rad_s, least_rad=least_rad)
-            for servo, start_rad, end_rad, least_rad in zip(
-                settings.servos, state.angles_rad, target_rad, closed_rad, strict=True
-            )
-        ]
+        self._rate_rad_s = speed_m_s / sum(map(linkage.opening_per_rad_m, state.angles_rad))
+        least_rad = most_closed_rad(mechanics)
+        self._fingers = list(map(_Finger, settings.servos, state.angles_rad, target_rad, least_rad))
         self._begun_s = state.t_s
         self._deadline_s = state.t_s + _PATIENCE_S
         self._set_currents(mechanics.transmissions(state.angles_rad))
@@ -184,7 +179,7 @@ class MoveTo:
         rising = min(1.0, passed_s / STEADY_S) if self._opening else 1.0
         goals = []
         for finger, servo in zip(self._fingers, moment.state.servos, strict=True):
-            angle_rad = finger.goal_rad(servo, moment.dt_s)
+            angle_rad = finger.goal_rad(servo, moment.dt_s, self._rate_rad_s)
             if self._only_open:
                 angle_rad = max(angle_rad, servo.angle_rad)
             stands = abs(servo.velocity_rad_s) <= slow_rad_s(finger.servo.servo_model)
@@ -263,7 +258,7 @@ class FirstMotion(MoveTo):
                 angle_rad = servo.angle_rad
             else:
                 back = finger is self._back
-                angle_rad = finger.goal_rad(servo, moment.dt_s, back=back)
+                angle_rad = finger.goal_rad(servo, moment.dt_s, self._rate_rad_s, back=back)
                 if finger.still_s >= _BLOCKED_S:
                     self._turn(finger, servo)
                 elif back and -finger.way_rad(servo) >= _MOVED_RAD:
@@ -309,13 +304,7 @@ class _Finger:
     """One finger on its way: its goal, its current, and how long it has stood."""
 
     def __init__(
-        self,
-        servo: ServoSettings,
-        start_rad: float,
-        target_rad: float,
-        *,
-        rate_rad_s: float,
-        least_rad: float,
+        self, servo: ServoSettings, start_rad: float, target_rad: float, least_rad: float
     ) -> None:
         self.servo = servo
         self.sign = 1.0 if target_rad >= start_rad else -1.0
@@ -328,7 +317,7 @@ class _Finger:
         """Time in s for which it has stood at the limit of its current."""
         self.there = self.moved = False
         self._least_rad = min(least_rad, start_rad)
-        self._target_rad, self._rate_rad_s = target_rad, rate_rad_s
+        self._target_rad = target_rad
         self._goal_rad = self._nearest_rad = self._stood_rad = start_rad
 
     def turn(self, angle_rad: float) -> None:
@@ -348,8 +337,10 @@ class _Finger:
             self._nearest_rad = servo.angle_rad
         return nearer
 
-    def goal_rad(self, servo: ServoState, dt_s: float, *, back: bool = False) -> float:
-        """Return the goal of one period in rad."""
+    def goal_rad(
+        self, servo: ServoState, dt_s: float, rate_rad_s: float, *, back: bool = False
+    ) -> float:
+        """Return the goal of one period in rad, which runs ahead at a rate in rad/s."""
         model, angle_rad = self.servo.servo_model, servo.angle_rad
         left_rad = self.sign * (self._target_rad - angle_rad)
         self.there = not back and left_rad <= _REACHED_PULSES * model.rad_per_pulse
@@ -360,7 +351,7 @@ class _Finger:
         most_rad = ahead_rad = max(self.lead_rad, self.overrun_rad)
         if not back:
             most_rad = min(most_rad, left_rad + self.overrun_rad)
-            ahead_rad = sign * (self._goal_rad - angle_rad) + self._rate_rad_s * dt_s
+            ahead_rad = sign * (self._goal_rad - angle_rad) + rate_rad_s * dt_s
         stands = abs(angle_rad - self._stood_rad) < still_rad(model)
         # A count of jitter is no motion.
         at_limit = ahead_rad >= most_rad - model.rad_per_pulse
