@@ -29,12 +29,12 @@ from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import XM430_W350
 from gripper.errors import GripperError
 from gripper.force.control import grip_control
-from gripper.force.control.law import Period
 from gripper.force.estimates.grip import Grip
+from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper
 from gripper.mechanics.kinematics import ParallelLinkage
-from gripper.mechanics.transmission import Mechanics, mean_yielding_n
+from gripper.mechanics.transmission import Mechanics, mean_friction_n, mean_yielding_n
 from gripper.settings import HARD_FORCE_CAP_N, GripperSettings, ServoSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
@@ -331,14 +331,11 @@ class PlainPi:
     def resume(self) -> None:
         """Begin again after a pause."""
 
-    def step(self, period: Period) -> float:
+    def step(self, moment: Moment, _end_n: float, **_limits: bool) -> float:
         """Return the driving force in N of one period."""
-        grip, dt_s, setpoint_n, sample = (
-            self._grip,
-            period.moment.dt_s,
-            period.setpoint_n,
-            period.sample,
-        )
+        grip, dt_s, sample = self._grip, moment.dt_s, moment.sample
+        setpoint_n, paths = grip.setpoint_n, grip.mechanics.transmissions(moment.state.angles_rad)
+        friction_n = mean_friction_n(paths)
         if sample is None:
             return grip.balance_n
         share = min(1.0, (sample.t_s - self._sample_s) / self.mean_s)
@@ -350,14 +347,14 @@ class PlainPi:
             self._integral_n, grip.balance_n = 0.0, grip.force_n
             return grip.balance_n
         self._integral_n += self.integral_per_s * error_n * dt_s
-        most_n = 2.0 * period.friction_n
+        most_n = 2.0 * friction_n
         self._integral_n = min(max(self._integral_n, -most_n), most_n)
         rises = copysign(1.0, grip.rate_n_s or error_n) > 0.0
-        yields_n = mean_yielding_n(period.paths, setpoint_n) - setpoint_n
+        yields_n = mean_yielding_n(paths, setpoint_n) - setpoint_n
         share = self.ramp_share if grip.rate_n_s else self.hold_share
-        edge_n = setpoint_n + share * (period.friction_n if rises else yields_n)
+        edge_n = setpoint_n + share * (friction_n if rises else yields_n)
         wanted_n = edge_n + self.gain * error_n + self._integral_n
-        grip.balance_n = max(wanted_n, -period.friction_n)
+        grip.balance_n = max(wanted_n, -friction_n)
         return grip.balance_n
 
 

@@ -13,7 +13,7 @@ from gripper.force.estimates.free_motion import FreeMotion
 from gripper.force.estimates.grip import SOFTEST_N_M
 from gripper.force.loop import Action, LoopRunner, Moment
 from gripper.force.ramp import ForceRamp
-from gripper.force.supervision.empty_grip import EmptyGrip
+from gripper.force.supervision.part_watch import EmptyGrip
 from gripper.mechanics.transmission import Mechanics
 from gripper.servos.goal_limits import EQUAL, check_temperature, standing
 from gripper.settings import GripperSettings

@@ -19,8 +19,7 @@ from cell.control.plan import GraspStep, Keep, Pose
 from cell.simulation import simulation_of
 from gripper.dynamixel.control_table import REGISTERS
 from gripper.force.loop import Action
-from gripper.force.supervision.empty_grip import EmptyGrip
-from gripper.force.supervision.part_watch import PartWatch
+from gripper.force.supervision.part_watch import EmptyGrip, PartWatch
 from gripper.gripper import Gripper
 from gripper.servos.group import Servos
 from gripper.values.state import GripperPhase

@@ -1,12 +1,13 @@
 """Control of the grip force of one grasp: one period, from the set-point to the servos' goals."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import inf
 
 from gripper.dynamixel.models import ServoModel
 from gripper.force.approach.approach import Approach
 from gripper.force.certainty import RECOVERED_S
-from gripper.force.control.law import LOCKED_SHARE, ForceLaw, Period
+from gripper.force.control.law import LOCKED_SHARE, ForceLaw
 from gripper.force.estimates.grip import KNOWN_N, Grip, History
 from gripper.force.loop import Moment
 from gripper.force.supervision.part_watch import PartWatch
@@ -255,18 +256,8 @@ class GripControl:
                 return self.quiet_goals(moment)
             self._stalled_s, grip.force_n = None, sample.grip_n
             self._law.begin(moment.now_s)
-        carried = moment.now_s >= grip.carried_s
-        period = Period(
-            moment=moment,
-            sample=sample,
-            setpoint_n=setpoint_n,
-            end_n=end_n,
-            paths=paths,
-            friction_n=mean_friction_n(paths),
-            may_open=self._goals.may_open and not carried,
-            carried=carried,
-        )
-        grip.drive_n = self._law.step(period)
+        trusted = replace(moment, sample=sample)
+        grip.drive_n = self._law.step(trusted, end_n, may_open=self._goals.may_open)
         blind = moment.sample is not None and not moment.sample.valid
         return self._goals.goals(state, blind=blind)
 

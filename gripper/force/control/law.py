@@ -18,8 +18,6 @@ starts nothing makes the next one larger.
 """
 
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
 from math import copysign, hypot, inf, sqrt
 from statistics import fmean
 
@@ -29,8 +27,8 @@ from gripper.force.certainty import PRESENT_SHARE, STEADY_S, SURE_SDS, YOUNG_S
 from gripper.force.control.observer import GripObserver
 from gripper.force.estimates.grip import Grip, History
 from gripper.force.loop import Moment
-from gripper.mechanics.impact import CURRENT_S, ImpactLimit, current_share, impact_limit
-from gripper.mechanics.transmission import Drives, Transmission, driving_n, mean_yielding_n
+from gripper.mechanics.impact import CURRENT_S, current_share, impact_limit
+from gripper.mechanics.transmission import Drives, driving_n, mean_friction_n, mean_yielding_n
 from gripper.servos.goal_limits import MOST_STICTION, pressing_speed_m_s
 from gripper.servos.motion import UNSURE_COUNTS
 from gripper.values.force_sensor import FRAME_S, LOOK_BACK_S, QUIET_N, ForceSample
@@ -63,51 +61,25 @@ _MOST_MISSING_N = 3.0
 """Largest missing drive in N, beside the friction and the uncertainty of the servos. [chosen]"""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Period:
-    """One period of control: measurements, set-point, limits."""
-
-    moment: Moment
-    """Feedback of the servos."""
-    sample: ForceSample | None
-    """Newest sample; None where it is not valid, or the part may be gone."""
-    setpoint_n: float
-    end_n: float
-    """Set-point of the grip force in N, and where its present change ends."""
-    paths: Sequence[Transmission]
-    friction_n: float
-    """Transmission of each servo, and half the width of the friction band in N."""
-    may_open: bool
-    """Whether the fingers may open farther."""
-    carried: bool
-    """Whether the part is carried: then no push opens the fingers."""
-
-
 class ForcePlan:
     """Plan of the force: its rate follows that of the set-point and ends at rest.
 
     Parameters
     ----------
-    force_n
-        Force at the beginning in N.
+    force_n, setpoint_n
+        Force and set-point at the beginning in N.
     """
 
-    def __init__(self, force_n: float) -> None:
+    def __init__(self, force_n: float, setpoint_n: float) -> None:
         self.force_n = force_n
         """Planned force in N, never beyond the set-point."""
         self.rate_n_s = 0.0
         self.rate_change_n_s2 = 0.0
         """Its rate in N/s, and the change of the rate in N/s²."""
+        self._setpoint_n, self._rates_n_s = setpoint_n, deque([0.0], maxlen=3)
 
     def step(
-        self,
-        dt_s: float,
-        setpoint_n: float,
-        end_n: float,
-        *,
-        ramp_n_s: float,
-        most_n_s: float,
-        change_n_s2: float,
+        self, dt_s: float, setpoint_n: float, end_n: float, *, most_n_s: float, most_n_s2: float
     ) -> None:
         """Advance by ``dt_s`` s, above 0.
 
@@ -115,11 +87,13 @@ class ForcePlan:
         ----------
         setpoint_n, end_n
             Set-point of the ramp in N, and where its present change ends.
-        ramp_n_s, most_n_s
-            Rate of the ramp, and largest rate of the plan, in N/s.
-        change_n_s2
-            Largest change of the rate in N/s².
+        most_n_s, most_n_s2
+            Largest rate of the plan in N/s, and largest change of it in N/s².
         """
+        self._rates_n_s.append((setpoint_n - self._setpoint_n) / dt_s)
+        self._setpoint_n = setpoint_n
+        ramp_n_s = fmean(self._rates_n_s)
+        change_n_s2 = min(max(abs(ramp_n_s), _LEAST_RATE_N_S) / FRAME_S, most_n_s2)
         sign = copysign(1.0, end_n - self.force_n)
         left_n, behind_n = abs(end_n - self.force_n), sign * (setpoint_n - self.force_n)
         # The rate from which the rest is just enough to come to rest.
@@ -207,9 +181,8 @@ class ForceLaw:
         """Begin at the present force, at a monotonic time in s."""
         grip = self._grip
         self.observer = GripObserver(grip, now_s)
-        self.plan = ForcePlan(self.observer.force_n)
+        self.plan = ForcePlan(self.observer.force_n, grip.setpoint_n)
         self._drives_n, self._samples_n, self._balance_n = History(), History(), grip.balance_n
-        self._setpoint_n, self._rates_n_s = grip.setpoint_n, deque([0.0], maxlen=3)
         self._started_m, self._most_m_s = grip.apertures.newest, 0.0
         self._jumped_s: float | None = None
         self._contradicted_s = 0.0
@@ -218,40 +191,52 @@ class ForceLaw:
         """Begin again after a pause, in which the force may have changed."""
         self.observer.resume()
 
-    def step(self, period: Period) -> float:
+    def step(self, moment: Moment, end_n: float, *, may_open: bool) -> float:
         """Return the driving force in N of one period.
+
+        Parameters
+        ----------
+        moment
+            Feedback, and a sample: None where it is not valid, or the part may be gone.
+        end_n
+            Where the present change of the set-point of the grip ends, in N.
+        may_open
+            Whether the fingers may open farther.
 
         Raises
         ------
         LimitExceeded
             When the pads report a jump of the force, or contradict the currents for some time.
         """
-        grip, sample = self._grip, period.sample
-        observer = self.observer
-        self._advance_plan(period)
+        grip, sample, observer = self._grip, moment.sample, self.observer
+        self._paths = grip.mechanics.transmissions(moment.state.angles_rad)
+        self._friction_n = mean_friction_n(self._paths)
+        # Where the part is carried, no push opens the fingers.
+        carried = moment.now_s >= grip.carried_s
+        self._advance_plan(moment, end_n)
         grip.planned_n, grip.rate_n_s = self.plan.force_n, self.plan.rate_n_s
-        measured_n = driving_n(period.moment.state, period.paths)
+        measured_n = driving_n(moment.state, self._paths)
         before_n = self._drives_n.newest if self._drives_n else measured_n
-        self._drives_n.add(period.moment.now_s, measured_n)
+        self._drives_n.add(moment.now_s, measured_n)
         # A drive at its cap shows nothing of what is missing beyond it.
         observer.missing_n -= max(0.0, self._balance_n - grip.balance_n)
-        if sample is not None and self._jumps(sample, period):
+        if sample is not None and self._jumps(sample, moment):
             sample = None
         # A current that did not follow its goal may be read wrongly.
-        goal_n = before_n + current_share(period.moment.dt_s) * (grip.drive_n - before_n)
+        goal_n = before_n + current_share(moment.dt_s) * (grip.drive_n - before_n)
         drive_n, drive_sd_n = 0.5 * (before_n + measured_n), abs(measured_n - goal_n)
-        observer.begin_period(period.moment.now_s)
-        observer.predict(period.moment.dt_s, drive_n, drive_sd_n, self._frictions_n(period))
-        observer.measure(period.moment, sample)
-        frictions_n = self._frictions_n(period)
-        self._check(period)
+        observer.begin_period(moment.now_s)
+        observer.predict(moment.dt_s, drive_n, drive_sd_n, self._frictions_n())
+        observer.measure(moment, sample)
+        frictions_n = self._frictions_n()
+        self._check(moment.dt_s)
         # The new drive acts a little later; until then the last one does.
         speed_m_s = observer.speed_after_m_s(_ACTS_S, grip.drive_n, frictions_n)
         way_m = 0.5 * (observer.speed_m_s + speed_m_s) * _ACTS_S
         force_n = observer.force_n + observer.stiffness_n_m * way_m
         balance_n = force_n + observer.missing_n
-        if not period.carried:
-            self._carried_n = balance_n + LOCKED_SHARE * period.friction_n
+        if not carried:
+            self._carried_n = balance_n + LOCKED_SHARE * self._friction_n
         grip.force_n, grip.balance_n = observer.force_n, min(balance_n, self._carried_n)
         self._balance_n = grip.balance_n
         # Beyond its cap a push would not start the fingers, and their rest would show nothing.
@@ -259,66 +244,62 @@ class ForceLaw:
             return grip.balance_n
         error_n = self.plan.force_n + self.plan.rate_n_s * _ACTS_S - force_n
         if observer.speed_m_s == 0.0:
-            push_n = self._starting_n(period, sample, error_n, frictions_n)
+            may_start = error_n > 0.0 or (may_open and not carried)
+            may_start &= sample.measured_s > self._pushes.effect_s
+            push_n = self._starting_n(moment, error_n, frictions_n) if may_start else 0.0
         else:
-            errors_n = error_n, period.end_n - force_n
-            push_n = self._moving_n(period, sample, errors_n, speed_m_s, frictions_n)
-        if period.carried:
+            errors_n = error_n, end_n - force_n
+            push_n = self._moving_n(moment, sample, errors_n, speed_m_s, frictions_n)
+        if carried:
             push_n = max(0.0, push_n)
         return grip.balance_n + push_n
 
-    def _frictions_n(self, period: Period) -> tuple[float, float]:
+    def _frictions_n(self) -> tuple[float, float]:
         """Return the friction in N at the present speed, while the fingers close and open.
 
         While they open, the gearing also holds a part of the load.
         """
-        fingers, force_n = 2 / len(period.paths), self.observer.force_n
-        speed_m_s = fingers * self.observer.speed_m_s
+        paths, force_n = self._paths, self.observer.force_n
+        speed_m_s = 2 / len(paths) * self.observer.speed_m_s
         friction_n = fmean(
-            [path.drive.moving_a(speed_m_s / path.radius_m) * path.n_per_a for path in period.paths]
+            [path.drive.moving_a(speed_m_s / path.radius_m) * path.n_per_a for path in paths]
         )
-        held_n = force_n - period.friction_n - mean_yielding_n(period.paths, force_n)
+        held_n = force_n - self._friction_n - mean_yielding_n(paths, force_n)
         return friction_n, max(friction_n + held_n, _LEAST_OPENING_SHARE * friction_n)
 
-    def _advance_plan(self, period: Period) -> None:
-        grip, observer, dt_s = self._grip, self.observer, period.moment.dt_s
-        setpoint_n, stiffness = period.setpoint_n, observer.stiffness_n_m
-        self._rates_n_s.append((setpoint_n - self._setpoint_n) / dt_s)
-        self._setpoint_n = setpoint_n
-        ramp_n_s = fmean(self._rates_n_s)
-        self._most_m_s = pressing_speed_m_s(grip.settings, _impact(grip, period), setpoint_n)
-        most_n_s2 = _INERTIA_N * stiffness / observer.mass_kg
+    def _advance_plan(self, moment: Moment, end_n: float) -> None:
+        observer, setpoint_n = self.observer, self._grip.setpoint_n
+        impact = impact_limit(self._grip.mechanics, moment.state.angles_rad)
+        self._most_m_s = pressing_speed_m_s(self._grip.settings, impact, setpoint_n)
         self.plan.step(
-            dt_s,
+            moment.dt_s,
             setpoint_n,
-            period.end_n,
-            ramp_n_s=ramp_n_s,
-            most_n_s=self._most_m_s * stiffness,
-            change_n_s2=min(max(abs(ramp_n_s), _LEAST_RATE_N_S) / FRAME_S, most_n_s2),
+            end_n,
+            most_n_s=self._most_m_s * observer.stiffness_n_m,
+            most_n_s2=_INERTIA_N * observer.stiffness_n_m / observer.mass_kg,
         )
 
     def _starting_n(
-        self, period: Period, sample: ForceSample, error_n: float, frictions_n: tuple[float, float]
+        self, moment: Moment, error_n: float, frictions_n: tuple[float, float]
     ) -> float:
         """Return the push in N on fingers at rest: 0, or one that starts them."""
         rate_n_s, sign = self.plan.rate_n_s, copysign(1.0, error_n)
-        *_, step_n = self._pushes.effect(self.observer, period.moment.dt_s, frictions_n[0])
+        *_, step_n = self._pushes.effect(self.observer, moment.dt_s, frictions_n[0])
         # A push that changes the force by more than twice the error makes the error larger.
         least_n = _HOLD_N if rate_n_s == 0.0 else QUIET_N
         least_n = max(least_n, self.observer.force_sd_n, 0.5 * step_n)
         if sign * rate_n_s < 0.0 or (sign < 0.0 and rate_n_s == 0.0):
             least_n += _HOLD_N
-        may_start = sample.measured_s > self._pushes.effect_s and (sign > 0.0 or period.may_open)
-        if abs(error_n) <= least_n or not may_start:
+        if abs(error_n) <= least_n:
             return 0.0
-        self._started_m = period.moment.state.aperture_m
+        self._started_m = moment.state.aperture_m
         if sign < 0.0:
-            self._grip.opened_s = period.moment.now_s
-        return self._pushes.push_n(self.observer, period.moment, frictions_n, sign)
+            self._grip.opened_s = moment.now_s
+        return self._pushes.push_n(self.observer, moment, frictions_n, sign)
 
     def _moving_n(
         self,
-        period: Period,
+        moment: Moment,
         sample: ForceSample,
         errors_n: tuple[float, float],
         speed_m_s: float,
@@ -339,32 +320,32 @@ class ForceLaw:
         if sign * wanted_m_s <= 0.0 or sign * left_n <= _NEAR_N + stopping_n:
             slow = abs(speed_m_s) * stiffness * _FORCE_S <= _NEAR_N
             return 0.0 if slow else -sign * LOCKED_SHARE * friction_n
-        if not self._goes_on(period, sample, sign * error_n):
+        if not self._goes_on(moment, sample, sign * error_n):
             return 0.0
         accelerates = plan.rate_change_n_s2 / stiffness + (wanted_m_s - speed_m_s) / _SPEED_S
         push_n = friction_n + sign * mass_kg * accelerates
         return sign * max(push_n, -LOCKED_SHARE * friction_n)
 
-    def _goes_on(self, period: Period, sample: ForceSample, short_n: float) -> bool:
+    def _goes_on(self, moment: Moment, sample: ForceSample, short_n: float) -> bool:
         """Return whether a motion goes on that a push has started.
 
         It does once the positions show it, or where pushes alone are too slow for the plan.
         """
-        way_m = abs(period.moment.state.aperture_m - self._started_m)
+        way_m = abs(moment.state.aperture_m - self._started_m)
         if way_m > UNSURE_COUNTS * self._grip.stiffness.step_m:
             return True
         growth_n = self._pushes.growth_n
-        unseen_s = 2.0 * (period.moment.now_s - sample.measured_s) + _SPEED_S
+        unseen_s = 2.0 * (moment.now_s - sample.measured_s) + _SPEED_S
         slow = abs(self.plan.rate_n_s) * unseen_s > growth_n
         return slow or short_n > 2.0 * growth_n + max(QUIET_N, self.observer.force_sd_n)
 
-    def _jumps(self, sample: ForceSample, period: Period) -> bool:
+    def _jumps(self, sample: ForceSample, moment: Moment) -> bool:
         """Return whether a sample shows a large jump of the force that no drive has made.
 
         A law that follows it would release a part although its force has not changed. Raises
         LimitExceeded when the jump lasts.
         """
-        observer, setpoint_n = self.observer, period.setpoint_n
+        observer, setpoint_n = self.observer, self._grip.setpoint_n
         self._samples_n.add(sample.t_s, sample.grip_n)
         # After a wrong prediction the force is unexplained too, but it has not grown.
         grown_n = sample.grip_n - self._samples_n.at(sample.t_s - LOOK_BACK_S)
@@ -377,11 +358,13 @@ class ForceLaw:
             return False
         # A spring that a drive meets at speed is pressed by up to twice the excess of the drive,
         # and by the momentum of the fingers.
-        friction_n = min(path.drive.least_breakaway_a * path.n_per_a for path in period.paths)
+        friction_n = min(path.drive.least_breakaway_a * path.n_per_a for path in self._paths)
         drive_n = self._drives_n.most(since_s=sample.measured_s - FRAME_S - _SPEED_S)
-        speed_m_s = max(0.0, observer.speed_m_s, -0.5 * period.moment.state.aperture_velocity_m_s)
+        speed_m_s = max(0.0, observer.speed_m_s, -0.5 * moment.state.aperture_velocity_m_s)
         least_n += 2.0 * max(0.0, drive_n - observer.force_n - friction_n)
-        least_n += _impact(self._grip, period).momentum_n_s_m * speed_m_s
+        least_n += (
+            impact_limit(self._grip.mechanics, moment.state.angles_rad).momentum_n_s_m * speed_m_s
+        )
         if jump_n <= least_n:
             observer.meets_stiffness(jump_n)
             self._jumped_s = None
@@ -397,21 +380,16 @@ class ForceLaw:
             )
         return True
 
-    def _check(self, period: Period) -> None:
+    def _check(self, dt_s: float) -> None:
         """Raise LimitExceeded when the drive lacks more than is plausible for some time."""
         missing_n, force_n = self.observer.missing_n, self.observer.force_n
-        force_sd_n = max(path.force_sd_n(period.setpoint_n) for path in period.paths)
-        limit_n = _MOST_MISSING_N + period.friction_n + _MISSING_SDS * force_sd_n
+        force_sd_n = max(path.force_sd_n(self._grip.setpoint_n) for path in self._paths)
+        limit_n = _MOST_MISSING_N + self._friction_n + _MISSING_SDS * force_sd_n
         plausible = abs(missing_n) <= limit_n
-        self._contradicted_s = 0.0 if plausible else self._contradicted_s + period.moment.dt_s
+        self._contradicted_s = 0.0 if plausible else self._contradicted_s + dt_s
         if self._contradicted_s > STEADY_S:
             raise LimitExceeded(
                 f"force sensor and servo current disagree by {-missing_n:.2f} N, more than "
                 f"{limit_n:.2f} N: the sensor shows {force_n:.2f} N where the current makes "
                 f"{force_n + missing_n:.2f} N. Check the pads, the tare and the torque figures"
             )
-
-
-def _impact(grip: Grip, period: Period) -> ImpactLimit:
-    """Return the limit of closing fingers where they are now."""
-    return impact_limit(grip.mechanics, period.moment.state.angles_rad)

@@ -56,16 +56,14 @@ class FreeMotion:
         self._runner = runner
         self._settings = settings = runner.servos.settings
         self._drives = runner.servos.mechanics.drives
-        self._points: dict[int, list[FreePoint]] = {}
-        self._runs = {servo.servo_id: _Run(servo) for servo in settings.servos}
-        self._priors: dict[int, DriveCharacteristic] = {}
+        self._runs = [_Run(servo) for servo in settings.servos]
         self.notes: list[str] = []
         """Unusual changes that were not yet fetched."""
 
     def forget(self) -> None:
         """Discard all points: the characteristics were replaced."""
-        self._points.clear()
-        self._priors.clear()
+        for run in self._runs:
+            run.points, run.prior = [], None
 
     def distrust(self) -> None:
         """Put the catalogue's friction back: the servos may be others, or a cable was freed."""
@@ -89,27 +87,25 @@ class FreeMotion:
             return step(moment)
 
         state = self._runner.run(watched, needs_force=needs_force)
-        for servo, settings in zip(state.servos, self._settings.servos, strict=True):
-            self._take(settings, servo, self._runs[servo.servo_id])
+        for run, servo in zip(self._runs, state.servos, strict=True):
+            self._take(run, servo)
         self._start()
         return state
 
     def _start(self) -> None:
-        for run in self._runs.values():
+        for run in self._runs:
             run.start()
 
     def _push(self, moment: Moment, *, free: bool) -> None:
         """Add one period, with all fingers moving ``free``, or with a possible contact."""
-        for servo, settings in zip(moment.state.servos, self._settings.servos, strict=True):
-            run = self._runs[servo.servo_id]
+        for run, servo in zip(self._runs, moment.state.servos, strict=True):
             if not (free and run.goes_on(servo)):
-                self._take(settings, servo, run)
+                self._take(run, servo)
                 run.start()
             run.add(moment.now_s, servo)
-            drive = self._drives.of(settings)
-            if not drive.measured and run.lasts():
+            if not self._drives.of(run.settings).measured and run.lasts():
                 # The rest of the first motion uses the result of its beginning.
-                self._take(settings, servo, run)
+                self._take(run, servo)
 
     def compare(self) -> None:
         """Note contradictions of pads and motor constant: neither follows the other."""
@@ -123,14 +119,13 @@ class FreeMotion:
                     f"the pads: step pads_law of `tactile-cell commission`"
                 )
 
-    def _take(self, settings: ServoSettings, servo: ServoState, run: "_Run") -> None:
+    def _take(self, run: "_Run", servo: ServoState) -> None:
         """Fit the friction of a servo again with its motion."""
-        drive, servo_id, model = self._drives.of(settings), settings.servo_id, settings.servo_model
+        drive, servo_id, points = self._drives.of(run.settings), servo.servo_id, run.points
         point = run.point(drive)
         if point is None:
             return
-        points = self._points.setdefault(servo_id, [])
-        prior = self._priors.setdefault(servo_id, drive)
+        prior = run.prior or drive
         earlier = [old for old in points if _alike(old, point)]
         # The first motions give little information on other speeds.
         few = not prior.measured and 0 < len(points) < _FEW_POINTS and not earlier
@@ -139,26 +134,26 @@ class FreeMotion:
             self._note(servo_id, ratio)
             points.clear()
             earlier.clear()
-            self._priors[servo_id] = prior = drive.distrusted
+            prior = drive.distrusted
         # Temperature changes the friction of all speeds.
         follows = grown(point, drive) if earlier else 1.0
         others = [old for old in points if not _alike(old, point)][1 - _MOST_POINTS :]
         points[:] = [old._replace(current_a=follows * old.current_a) for old in others]
         points.append(point)
-        self._priors[servo_id] = prior = prior.with_friction(follows)
-        fitted = fit_friction(points, _with_friction(prior, drive))
+        run.prior = prior.with_friction(follows)
+        fitted = fit_friction(points, _with_friction(run.prior, drive))
         fitted = replace(
             fitted,
             breakaway_a=fitted.coulomb_a * drive.breakaway_share,
             temperature_c=servo.temperature_c,
         )
         self._drives.put(servo_id, fitted)
-        usual_a = DriveCharacteristic.catalogue(model).breakaway_a
+        usual_a = DriveCharacteristic.catalogue(run.model).breakaway_a
         if fitted.breakaway_a > _WORN * usual_a:
             raise ServoFault(
                 servo_id,
                 f"its free motion takes {fitted.breakaway_a:.3f} A, {usual_a:.3f} A are usual for "
-                f"a {model.name}: a cable drags, or it is worn. Free the finger, or change "
+                f"a {run.model.name}: a cable drags, or it is worn. Free the finger, or change "
                 f"the servo; then clear the fault, release and start",
             )
 
@@ -191,13 +186,16 @@ class _Part(NamedTuple):
 
 
 class _Run:
-    """Motion of one servo in one direction."""
+    """Motion of one servo in one direction, and the points of its earlier motions."""
 
     def __init__(self, settings: ServoSettings) -> None:
-        model = settings.servo_model
+        self.settings = settings
+        self.model = model = settings.servo_model
+        self.points: list[FreePoint] = []
+        self.prior: DriveCharacteristic | None = None
+        """Drive before these points; None before the first one."""
         pwm_a = model.stall_current_a / model.whole_pwm_raw
         self._step_a = (pwm_a if model.supply_current else model.current_unit_a) / sqrt(12.0)
-        self._model = model
         self.start()
 
     def start(self) -> None:
@@ -209,7 +207,7 @@ class _Run:
     def goes_on(self, servo: ServoState) -> bool:
         """Return whether a servo moves in the direction of before."""
         speed = servo.velocity_rad_s
-        return abs(speed) > slow_rad_s(self._model) and speed * self._sign >= 0.0
+        return abs(speed) > slow_rad_s(self.model) and speed * self._sign >= 0.0
 
     def add(self, now_s: float, servo: ServoState) -> None:
         """Add one period."""
@@ -239,7 +237,7 @@ class _Run:
             speed_rad_s=float(speed_rad_s),
             current_a=fmean(servo.current_a for _, servo in periods),
             acceleration_rad_s2=float(acceleration_rad_s2),
-            acceleration_sd_rad_s2=position_sd_rad(self._model) * float(np.linalg.norm(whole[2])),
+            acceleration_sd_rad_s2=position_sd_rad(self.model) * float(np.linalg.norm(whole[2])),
         )
 
     def point(self, drive: DriveCharacteristic) -> FreePoint | None:
@@ -251,7 +249,7 @@ class _Run:
         if len(inner) < (_LEAST_PERIODS if drive.measured else _FIRST_PERIODS):
             return None
         half = len(inner) // 2
-        inertia_a_s2 = drive.inertia_a_s2(self._model)
+        inertia_a_s2 = drive.inertia_a_s2(self.model)
         whole, *halves = map(self._part, (inner, inner[:half], inner[half:]))
         whole_a, first_a, second_a = (
             part.current_a - inertia_a_s2 * part.acceleration_rad_s2 for part in (whole, *halves)

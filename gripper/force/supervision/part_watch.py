@@ -1,4 +1,4 @@
-"""Watch of a gripped part: whether it is there, and whether pads and fingers agree.
+"""Watch of a gripped part: whether it is there, whether pads and fingers agree, whether it is gone.
 
 Force samples alone do not decide: a control unit with zero messages would let a held part go.
 Another measurement must confirm them: fingers that run together, or a newer whole frame. If a frame
@@ -11,25 +11,36 @@ from math import inf, sqrt
 from typing import NamedTuple
 
 from gripper.errors import ForceImbalance, GripContradicted, PartSlipped, PositionContradicted
+from gripper.force.approach.approach import Approach, ApproachEvent
 from gripper.force.certainty import (
     BRIEF_S,
     EMPTY_SHARE,
     PRESENT_SHARE,
     RUN_STEPS,
+    STALLED_S,
     STEADY_S,
     SURE_SDS,
 )
 from gripper.force.estimates.grip import KNOWN_N, SOFTEST_N_M, Grip
-from gripper.force.loop import Moment
-from gripper.mechanics.transmission import driving_n, mean_friction_n
+from gripper.force.loop import Action, Moment
+from gripper.mechanics.transmission import Mechanics, driving_n, mean_friction_n
+from gripper.servos.goal_limits import standing
+from gripper.servos.group import frozen
 from gripper.settings import GripperSettings
-from gripper.values.force_sensor import FRAME_S, LOOK_BACK_S, ForceSample, RecentForce, mean_n
+from gripper.values.force_sensor import (
+    FRAME_S,
+    LEAST_SAMPLES,
+    LOOK_BACK_S,
+    ForceSample,
+    RecentForce,
+    mean_n,
+)
 from gripper.values.state import ServoFeedback
 
 _RUN_M_S = 0.008
 """Growth of the closing speed in m/s above which nothing holds the fingers apart: three counts. On
 a part they come to rest under a constant drive. [resolution]"""
-_PRESSING_N, BREAKAWAY_SHARE = 1.0, 0.3
+_PRESSING_N, _BREAKAWAY_SHARE = 1.0, 0.3
 """Driving force in N beyond friction at rest that certainly moves free fingers, and the largest
 ratio of that friction to friction in motion. [assumed]"""
 _RUNAWAY_RESERVE, _RUNAWAY_N = 2.0, 1.0
@@ -49,9 +60,14 @@ _FALL_S = 3.0 * FRAME_S
 force before it is known for longer."""
 _PAD_NOISE = sqrt(2.0)
 """Noise of one pad over that of the grip force, the mean of both. [statistics]"""
-ADVICE = (
+_ADVICE = (
     "One of them still shows a part: the goals are frozen and the grip is kept. "
     "Look at the part, check control unit, pads and cable, then clear the fault and release"
+)
+_CLOSED_ADVICE = (
+    "The fingers are closed (gripper.aperture_min_mm): a part is too small to be held, or the pads "
+    "press on each other because gripper.approach_speed_mm_s is high. The grip is kept: look, then "
+    "clear the fault and release"
 )
 
 
@@ -72,10 +88,6 @@ class PadSamples:
         self.loaded_n = PRESENT_SHARE * settings.contact_force_n
         """Force in N above which the mean of frames shows a pad as loaded."""
         self._before_n: deque[tuple[float, float]] = deque()
-
-    def resume(self) -> None:
-        """Discard the newest samples; the force before them counts until it is too old."""
-        self.recent.clear()
 
     def take(self, sample: ForceSample) -> None:
         """Add a sample, which may be the same as before."""
@@ -122,7 +134,7 @@ class PadSamples:
         return max(newest.finger_means_n) < max(self.empty_n, noisy_n)
 
 
-class FrameMean:
+class _FrameMean:
     """Mean force of the whole frames that were scanned after a moment.
 
     Parameters
@@ -174,7 +186,7 @@ class _Suspicion:
 
     def __init__(self, began: _Motion, force_n: float, since_s: float) -> None:
         self.began, self.force_n = began, force_n
-        self.frames = FrameMean(since_s)
+        self.frames = _FrameMean(since_s)
         self.empty_s = 0.0
         """Time in s for which the pads have been empty."""
         self.acts_s: float | None = None
@@ -220,8 +232,11 @@ class PartWatch:
         return self._suspicion is not None and self._suspicion.acts_s is not None
 
     def resume(self) -> None:
-        """Begin again after a pause: earlier values are discarded."""
-        self.pads.resume()
+        """Begin again after a pause: earlier values are discarded.
+
+        The force before the pause counts until it is too old.
+        """
+        self.pads.recent.clear()
         self._motions.clear()
         self._suspicion = None
         self._uneven_s = 0.0
@@ -297,7 +312,7 @@ class PartWatch:
             shows = f"a frame scanned since then shows {first_n:.2f} and {second_n:.2f} N"
             raise self._contradicted(moment, suspicion, shows)
         paths = grip.mechanics.transmissions(moment.state.angles_rad)
-        friction_n = (1.0 + BREAKAWAY_SHARE) * mean_friction_n(paths)
+        friction_n = (1.0 + _BREAKAWAY_SHARE) * mean_friction_n(paths)
         pressing_n = driving_n(moment.state, paths) - friction_n
         if pressing_n < _PRESSING_N:
             return bool(suspicion.frames) or moment.sample is None or moment.sample.frame_s is None
@@ -314,7 +329,7 @@ class PartWatch:
         return GripContradicted(
             f"the force samples fell from {suspicion.force_n:.2f} N to {suspicion.fell_to} "
             f"{since_ms:.0f} ms ago, below {self.pads.empty_n:.2f} N a pad is empty; {shows}. "
-            f"{ADVICE}"
+            f"{_ADVICE}"
         )
 
     def _runs_away(self, moment: Moment, stiffness_n_m: float | None) -> bool:
@@ -453,3 +468,102 @@ def _run(
     far = travel_m >= run_m + yields_m and motion.closing_m_s >= before_m_s
     faster = motion.closing_m_s - before_m_s >= _RUN_M_S and travel_m >= yields_m
     return far or faster
+
+
+class EmptyGrip:
+    """Step of control that confirms that nothing is held, before an opening without a request.
+
+    Fingers that have not run yet close, as in an approach, by more than any part would yield. Then
+    they stand until the pads have shown once more that they are empty.
+
+    Parameters
+    ----------
+    mechanics
+        Of the gripper.
+    state
+        Feedback at the end of the grasp.
+    stiffness_n_m
+        Stiffness in N/m of the part that may yield to the current of an approach. None where an
+        approach has just ended, so that nothing yields; the current may then grow while the fingers
+        stand.
+    ran
+        Whether the fingers have already closed, unlike on any part.
+    """
+
+    def __init__(
+        self, mechanics: Mechanics, state: ServoFeedback, *, stiffness_n_m: float | None, ran: bool
+    ) -> None:
+        self._settings = settings = mechanics.settings
+        self._approach = Approach(mechanics, state, may_boost=stiffness_n_m is None)
+        self._step_m = self._approach.stiffness.step_m
+        self._run_m = RUN_STEPS * self._step_m
+        if stiffness_n_m is not None:
+            paths = mechanics.transmissions(state.angles_rad)
+            friction_n = max(path.friction_n for path in paths)
+            pressed_n = settings.approach_force_n + _BREAKAWAY_SHARE * friction_n
+            self._run_m += pressed_n / stiffness_n_m
+        self._loaded_n = PRESENT_SHARE * settings.contact_force_n
+        self._begun_m = state.aperture_m
+        self._late_s = state.t_s + self._run_m / settings.approach_speed_m_s + STALLED_S
+        self._ran = ran
+        self._watch_from(state.t_s)
+
+    def _watch_from(self, now_s: float) -> None:
+        self._since_s = now_s
+        self._frames = _FrameMean(now_s)
+        self._samples = RecentForce()
+
+    def step(self, moment: Moment) -> Action:
+        """Return the goals of a period. Raises GripContradicted when anything shows a part."""
+        if self._ran:
+            return self._pads(moment)
+        state, approach = moment.state, self._approach
+        # A finger that is ahead waits: none opens.
+        goals = frozen(approach.step(moment).goals or (), state)
+        travel_m = self._begun_m - state.aperture_m
+        if travel_m >= self._run_m or approach.event is ApproachEvent.LIMIT:
+            self._ran = True
+            self._watch_from(moment.now_s)
+            return Action(goals=standing(goals, state))
+        self._pads(moment)
+        if moment.now_s >= self._late_s or approach.event is not ApproachEvent.CLOSING:
+            raise GripContradicted(
+                f"the force samples show empty pads, but the fingers stand at an opening of "
+                f"{1e3 * state.aperture_m:.1f} mm: with {max(approach.currents_a):.2f} A, which "
+                f"moves free ones, they have closed by {1e3 * travel_m:.1f} of "
+                f"{1e3 * self._run_m:.1f} mm. {_ADVICE}"
+            )
+        return Action(goals=goals)
+
+    def _pads(self, moment: Moment) -> Action:
+        """Return no goals; the last step where frames and samples show empty pads."""
+        sample = moment.sample
+        if sample is None or not sample.valid:
+            return Action()
+        self._frames.push(sample)
+        after = sample.t_s - 2.0 * sample.lag_s > self._since_s
+        if after:
+            self._samples.push(sample)
+        few = sample.frame_s is not None and len(self._frames) < LEAST_SAMPLES
+        if few or (not after and max(sample.force_n) > self._loaded_n):
+            return Action()
+        means_n = self._samples.finger_means_n if self._samples else sample.force_n
+        frames_n = self._frames.finger_means_n
+        if min(means_n) > self._loaded_n >= min(frames_n) and not self._samples.complete:
+            # The noise of one sample sometimes loads both pads.
+            return Action()
+        if min(means_n) > self._loaded_n or min(frames_n) > self._loaded_n:
+            frames = "the frames {:.2f} and {:.2f} N, ".format(*frames_n)
+            if sample.frame_s is None:
+                frames = ""
+            opening_m, least_m = moment.state.aperture_m, self._settings.aperture_min_m
+            closed = opening_m - least_m <= RUN_STEPS * self._step_m
+            advice = _CLOSED_ADVICE if closed else _ADVICE
+            raise GripContradicted(
+                f"the grasp has ended without a part at an opening of "
+                f"{1e3 * opening_m:.1f} mm, but the force samples show "
+                f"{means_n[0]:.2f} and {means_n[1]:.2f} N, {frames}more than "
+                f"{self._loaded_n:.2f} N on both pads: something may be held, or the zero of the "
+                f"pads has drifted. {advice}"
+            )
+        return Action(done=True)

@@ -1,9 +1,7 @@
 """Grips and periods of control as tests of the force law need them."""
 
 from dataclasses import replace
-from typing import Any
 
-from gripper.force.control.law import Period
 from gripper.force.estimates.grip import Grip, StiffnessEstimate
 from gripper.force.loop import Moment
 from gripper.mechanics.kinematics import ParallelLinkage
@@ -13,7 +11,6 @@ from gripper.values.force_sensor import ForceSample
 from tests.values import make_state
 
 PERIOD_S = 0.005
-FRICTION_N = 3.7
 LINKAGE = ParallelLinkage(link_m=0.06)
 STATE = make_state(0.0, aperture_velocity_m_s=0.0)
 STATE = replace(STATE, servos=tuple(replace(one, velocity_rad_s=0.0) for one in STATE.servos))
@@ -33,24 +30,22 @@ def make_grip(force_n: float = 1.0, touch_m: float | None = None) -> Grip:
     return grip
 
 
-def make_period(
+def make_moment(
     now_s: float,
-    setpoint_n: float,
     sample: ForceSample | float | None = None,
     *,
     speed_m_s: float = 0.0,
     closed_m: float = 0.0,
     drive_n: float = 0.0,
-    **changes: Any,
-) -> Period:
+) -> Moment:
     """Return a period; a force in N as ``sample`` is one of now, ``drive_n`` makes the currents.
 
     ``closed_m``: way in m by which the fingers have closed since `STATE`.
     """
     if isinstance(sample, float):
         sample = ForceSample(t_s=now_s, force_n=(sample, sample), lag_s=0.0015, noise_n=0.1)
-    paths = Mechanics(GripperSettings(), LINKAGE).transmissions(STATE.angles_rad)
-    current_a, velocity_rad_s = -drive_n / paths[0].n_per_a, 0.5 * speed_m_s / paths[0].radius_m
+    path = Mechanics(GripperSettings(), LINKAGE).transmissions(STATE.angles_rad)[0]
+    current_a, velocity_rad_s = -drive_n / path.n_per_a, 0.5 * speed_m_s / path.radius_m
     servos = tuple(
         replace(servo, current_a=current_a, velocity_rad_s=velocity_rad_s) for servo in STATE.servos
     )
@@ -61,16 +56,4 @@ def make_period(
         aperture_velocity_m_s=speed_m_s,
         servos=servos,
     )
-    usual = {
-        "sample": sample,
-        "end_n": setpoint_n,
-        "friction_n": FRICTION_N,
-        "may_open": True,
-        "carried": False,
-        "paths": paths,
-    }
-    return Period(
-        moment=Moment(now_s=now_s, dt_s=PERIOD_S, state=state, sample=sample),
-        setpoint_n=setpoint_n,
-        **(usual | changes),
-    )
+    return Moment(now_s=now_s, dt_s=PERIOD_S, state=state, sample=sample)

@@ -7,6 +7,7 @@ from statistics import median
 
 import pytest
 
+from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.errors import LimitExceeded
 from gripper.force.control.grip_control import GIVE_RAD, DriveGoals
 from gripper.force.control.law import ForceLaw, ForcePlan
@@ -22,11 +23,12 @@ from tests.gripper.force.grips import (
     STATE,
     STIFFNESS_N_M,
     make_grip,
-    make_period,
+    make_moment,
 )
 
 MECHANICS = Mechanics(GripperSettings(), LINKAGE)
 PATHS = MECHANICS.transmissions(STATE.angles_rad)
+DRIVE = PATHS[0].drive
 """Gearings with Coulomb friction alone."""
 NOISE_N = 0.1
 
@@ -65,11 +67,14 @@ class Grip:
     """The law on a finger, one period after the other."""
 
     def __init__(
-        self, force_n: float, *, stiction: float = 1.6, paths: Sequence[Transmission] = PATHS
+        self, force_n: float, *, stiction: float = 1.6, drive: DriveCharacteristic = DRIVE
     ) -> None:
-        self.grip, self.paths = make_grip(force_n), paths
+        self.grip = make_grip(force_n)
+        for servo in self.grip.settings.servos:
+            self.grip.mechanics.drives.put(servo.servo_id, drive)
         self.law = ForceLaw(self.grip, 0.0)
-        self.finger = Finger(paths[0], self.law.observer.mass_kg, force_n, stiction)
+        path = Transmission(drive, PATHS[0].radius_m)
+        self.finger = Finger(path, self.law.observer.mass_kg, force_n, stiction)
         self.random, self.periods, self.gain, self.reads = random.Random(3), 0, 1.0, 1.0
 
     def follow(self, setpoints_n: Sequence[float], *, may_open=True, end_n=0.0) -> list[float]:
@@ -78,18 +83,10 @@ class Grip:
         for setpoint_n in setpoints_n:
             now_s = self.periods * PERIOD_S
             sample = self.gain * self.finger.force_n + self.random.gauss(0.0, NOISE_N)
-            period = make_period(
-                now_s,
-                setpoint_n,
-                sample,
-                end_n=end_n or setpoints_n[-1],
-                closed_m=2.0 * self.finger.way_m,
-                drive_n=self.reads * self.finger.drive_n,
-                paths=self.paths,
-                friction_n=self.paths[0].friction_n,
-                may_open=may_open,
-            )
-            self.grip.drive_n = self.law.step(period)
+            drive_n, closed_m = self.reads * self.finger.drive_n, 2.0 * self.finger.way_m
+            moment = make_moment(now_s, sample, closed_m=closed_m, drive_n=drive_n)
+            self.grip.setpoint_n, last_n = setpoint_n, end_n or setpoints_n[-1]
+            self.grip.drive_n = self.law.step(moment, last_n, may_open=may_open)
             self.finger.drive(self.grip.drive_n)
             forces_n.append(self.finger.force_n)
             self.periods += 1
@@ -102,8 +99,8 @@ def ramp(start_n: float, end_n: float, rate_n_s: float, hold_s: float = 0.5) -> 
     return change + [end_n] * round(hold_s / PERIOD_S)
 
 
-LOSSY = replace(PATHS[0].drive, falling_a_nm=0.5 * PATHS[0].drive.rising_a_nm, yielding_share=0.8)
-GEARINGS = {"rigid": PATHS, "lossy": (Transmission(LOSSY, PATHS[0].radius_m),) * 2}
+LOSSY = replace(DRIVE, falling_a_nm=0.5 * DRIVE.rising_a_nm, yielding_share=0.8)
+GEARINGS = {"rigid": DRIVE, "lossy": LOSSY}
 
 
 @pytest.mark.parametrize("gearing", GEARINGS)
@@ -112,7 +109,7 @@ GEARINGS = {"rigid": PATHS, "lossy": (Transmission(LOSSY, PATHS[0].radius_m),) *
     [(1.0, 6.0, 3.0), (1.0, 6.0, 20.0), (1.0, 6.0, 40.0), (6.0, 2.0, 3.0), (6.0, 2.0, 20.0)],
 )
 def test_the_force_follows_a_ramp_and_holds(start_n, end_n, rate_n_s, gearing) -> None:
-    grip, setpoints_n = Grip(start_n, paths=GEARINGS[gearing]), ramp(start_n, end_n, rate_n_s)
+    grip, setpoints_n = Grip(start_n, drive=GEARINGS[gearing]), ramp(start_n, end_n, rate_n_s)
     forces_n = grip.follow(setpoints_n)
     assert max((1.0 if end_n > start_n else -1.0) * (force_n - end_n) for force_n in forces_n) < 0.6
     assert forces_n[-60:] == pytest.approx([end_n] * 60, abs=0.3)
@@ -154,27 +151,27 @@ def test_a_current_that_is_read_wrongly_in_a_fall_changes_no_force(reads) -> Non
 def test_the_same_sample_corrects_only_once() -> None:
     observer = GripObserver(make_grip(1.0), 0.0)
     sample = ForceSample(t_s=0.1, force_n=(1.5, 1.5), noise_n=0.1)
-    observer.measure(make_period(0.1, 1.0, sample).moment, sample)
+    observer.measure(make_moment(0.1, sample), sample)
     once_n = observer.force_n
-    observer.measure(make_period(0.105, 1.0, sample).moment, sample)
+    observer.measure(make_moment(0.105, sample), sample)
     assert 1.0 < once_n == pytest.approx(observer.force_n, abs=1e-3)
 
 
 def test_a_position_that_leaps_is_no_way_and_makes_the_force_uncertain() -> None:
     observer = GripObserver(make_grip(2.0), 0.0)
     observer.predict(PERIOD_S, 2.0, 0.0, (3.0, 3.0))
-    observer.measure(make_period(PERIOD_S, 2.0, closed_m=0.6e-3).moment, None)
+    observer.measure(make_moment(PERIOD_S, closed_m=0.6e-3), None)
     assert observer.force_n == 2.0
     assert observer.force_sd_n > 1.0
 
 
 @pytest.mark.parametrize("force_n", [1.0, 6.0])
 def test_a_plan_never_passes_its_set_point_and_ends_at_rest(force_n) -> None:
-    plan, end_n = ForcePlan(force_n), 4.0
+    plan, end_n = ForcePlan(force_n, force_n), 4.0
     sign = 1.0 if end_n > force_n else -1.0
     for setpoint_n in ramp(force_n, end_n, 20.0):
-        before_n_s, rate_n_s = plan.rate_n_s, sign * 20.0
-        plan.step(PERIOD_S, setpoint_n, end_n, ramp_n_s=rate_n_s, most_n_s=100.0, change_n_s2=800.0)
+        before_n_s = plan.rate_n_s
+        plan.step(PERIOD_S, setpoint_n, end_n, most_n_s=100.0, most_n_s2=800.0)
         assert sign * plan.force_n <= sign * setpoint_n + 0.05
         assert sign * (plan.rate_n_s - before_n_s) <= 800.0 * PERIOD_S + 1e-9
     assert plan.force_n == pytest.approx(end_n, abs=1e-3)
@@ -291,7 +288,7 @@ def pressed(n_m: float, rate_hz: float, noise_n: float, seed: int = 0) -> Stiffn
             force_n = tuple(n_m * way_m + generator.gauss(0.0, noise_n) for _ in range(2))
             sample = ForceSample(t_s=now_s, force_n=force_n, lag_s=0.0, noise_n=0.7 * noise_n)
         counted_m = round(way_m / estimate.step_m) * estimate.step_m
-        estimate.push(make_period(now_s, 0.0, sample, closed_m=counted_m).moment)
+        estimate.push(make_moment(now_s, sample, closed_m=counted_m))
     return estimate
 
 

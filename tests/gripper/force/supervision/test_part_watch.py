@@ -9,14 +9,13 @@ from gripper.errors import ForceAboveCap, ForceImbalance, GripContradicted
 from gripper.force.estimates.grip import Grip
 from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp
-from gripper.force.supervision.empty_grip import EmptyGrip
-from gripper.force.supervision.part_watch import PartWatch
+from gripper.force.supervision.part_watch import EmptyGrip, PartWatch
 from gripper.mechanics.transmission import Mechanics
 from gripper.settings import GripperSettings
 from gripper.values.force_sensor import ForceSample
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
-from tests.gripper.force.grips import LINKAGE, PERIOD_S, STATE, make_grip, make_period
+from tests.gripper.force.grips import LINKAGE, PERIOD_S, STATE, make_grip, make_moment
 from tests.marks import LONG
 
 
@@ -54,16 +53,14 @@ class Watched:
             frame_s=self._frame[0],
             frame_n=self._frame[1],
         )
-        period = make_period(
+        moment = make_moment(
             self.now_s,
-            0.0,
             sample,
             closed_m=STATE.aperture_m - self.aperture_m,
             speed_m_s=-self.closing_m_s,
             drive_n=self.pressing_n,
         )
         self.grip.apertures.add(self.now_s, self.aperture_m)
-        moment = period.moment
         first, *others = moment.state.servos
         first = replace(first, velocity_rad_s=self.first_share * first.velocity_rad_s)
         state = replace(moment.state, servos=(first, *others))
