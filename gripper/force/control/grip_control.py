@@ -169,7 +169,6 @@ class GripControl:
             touch_m=touch_m,
             force_n=force_n,
         )
-        grip.apertures.add(moment.now_s, state.aperture_m)
         # A high load at the first touch: stiff, or no part at all.
         yielded_m = max(touch_m - state.aperture_m, grip.stiffness.step_m)
         contact_n_m = force_n / yielded_m if force_n > KNOWN_N else None
@@ -201,7 +200,7 @@ class GripControl:
 
     def begin_again(self, state: ServoFeedback) -> None:
         """Begin the law at the present force and opening: others have moved the fingers."""
-        self.grip.apertures.add(state.t_s, state.aperture_m)
+        self.grip.stiffness.apertures.add(state.t_s, state.aperture_m)
         self.grip.force_n = self.grip.balance_n = self.grip.drive_n = self.force_n
         self._law.begin(state.t_s)
 
@@ -242,7 +241,7 @@ class GripControl:
         grip.setpoint_n, self._most_n = setpoint_n, max(self._most_n, setpoint_n)
         if rises_n != 0.0:
             grip.carried_s = max(grip.carried_s, moment.now_s + RECOVERED_S)
-        grip.apertures.add(moment.now_s, state.aperture_m)
+        grip.stiffness.apertures.add(moment.now_s, state.aperture_m)
         if sample is not None:
             self.watch.pads.take(sample)
             self.watch.check_pads(moment, rises=rises_n > 0.0)

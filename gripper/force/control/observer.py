@@ -75,7 +75,7 @@ class GripObserver:
         self._breaks = False
         self.missing_n = 0.0
         """Missing force of the drive in N."""
-        self._way_m, self._start_m = 0.0, grip.apertures.newest
+        self._way_m, self._start_m = 0.0, grip.stiffness.apertures.newest
         # Rounding and a dither of one step: a third of its square is the variance of a position.
         way_sd_m = 0.5 * grip.stiffness.step_m * sqrt(len(grip.settings.servos) / 3.0)
         self._way_m2 = way_sd_m**2

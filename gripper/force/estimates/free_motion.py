@@ -80,7 +80,8 @@ class FreeMotion:
         ``is_free``: whether nothing touches the fingers. Raises as `LoopRunner.run`, and ServoFault
         where a servo needs more current than a sound one.
         """
-        self._start()
+        for run in self._runs:
+            run.start()
 
         def watched(moment: Moment) -> Action:
             self._push(moment, free=is_free(moment.state))
@@ -89,12 +90,7 @@ class FreeMotion:
         state = self._runner.run(watched, needs_force=needs_force)
         for run, servo in zip(self._runs, state.servos, strict=True):
             self._take(run, servo)
-        self._start()
         return state
-
-    def _start(self) -> None:
-        for run in self._runs:
-            run.start()
 
     def _push(self, moment: Moment, *, free: bool) -> None:
         """Add one period, with all fingers moving ``free``, or with a possible contact."""

@@ -176,8 +176,6 @@ class Grip:
     does not grow, but the zero of a pad may drift."""
     opened_s: float = -inf
     """Monotonic time in s of the last push that opens the fingers."""
-    apertures: History = field(default_factory=History)
-    """Opening of the last periods in m."""
     force_n: float
     balance_n: float = field(init=False)
     """Estimated grip force in N, and the drive in N that balances it without friction."""

@@ -189,8 +189,8 @@ class _Suspicion:
         self.frames = _FrameMean(since_s)
         self.empty_s = 0.0
         """Time in s for which the pads have been empty."""
-        self.acts_s: float | None = None
-        """Monotonic time in s from which the samples are not used for control; None before."""
+        self.acts_s = inf
+        """Monotonic time in s from which the samples are not used for control."""
         self.fell_to = ""
         """What the samples read then, as text."""
 
@@ -219,9 +219,9 @@ class PartWatch:
         self._suspicion: _Suspicion | None = None
         self._was_held = False
         self._run_from: tuple[float, float, float] | None = None
-        self._ahead_from: tuple[float, float] | None = None
+        self._ahead_from: tuple[float, float, float] | None = None
         self._steady_s = 0.0
-        self._widest_m, self._sunk_m = widest_m, grip.apertures.newest
+        self._widest_m, self._sunk_m = widest_m, grip.stiffness.apertures.newest
         self._rose_s: float | None = None
         self._contradicted_s = self._uneven_s = 0.0
         self._fell_s = inf
@@ -229,7 +229,7 @@ class PartWatch:
     @property
     def suspicious(self) -> bool:
         """Whether the samples must not be used for control: they show a part as gone."""
-        return self._suspicion is not None and self._suspicion.acts_s is not None
+        return self._suspicion is not None and self._suspicion.acts_s < inf
 
     def resume(self) -> None:
         """Begin again after a pause: earlier values are discarded.
@@ -265,9 +265,7 @@ class PartWatch:
             self._was_held |= grip.planned_n >= grip.settings.contact_force_n
             if self._was_held:
                 self._compare(moment, sample)
-        stiffness_n_m = grip.stiffness.stiffness_n_m
-        if stiffness_n_m is None:
-            stiffness_n_m = self._contact_n_m
+        stiffness_n_m = grip.stiffness.stiffness_n_m or self._contact_n_m
         closed = state.aperture_m < grip.settings.aperture_min_m and not pads.loaded
         runs_away = self._runs_away(moment, stiffness_n_m)
         self.ran = closed or runs_away
@@ -287,7 +285,7 @@ class PartWatch:
             self._suspicion = suspicion = _Suspicion(began, pads.before_n, sample.t_s)
         suspicion.frames.push(sample)
         suspicion.empty_s = suspicion.empty_s + moment.dt_s if empty else 0.0
-        if suspicion.acts_s is not None:
+        if suspicion.acts_s < inf:
             return
         if not (empty or sudden):
             self._suspicion = None
@@ -302,7 +300,6 @@ class PartWatch:
         """
         suspicion, motion, grip = self._suspicion, self._motions[-1], self._grip
         assert suspicion is not None
-        assert suspicion.acts_s is not None
         stiffness_n_m = stiffness_n_m or SOFTEST_N_M
         step_m = grip.stiffness.step_m
         if _run(moment, motion, suspicion.began, stiffness_n_m, RUN_STEPS * step_m):
@@ -351,8 +348,7 @@ class PartWatch:
             return False
         force_n = recent.grip_n if recent else 0.0
         if self._run_from is None:
-            self._run_from = moment.now_s, state.aperture_m, force_n
-            self._ahead_from = state.aperture_m, force_n
+            self._run_from = self._ahead_from = moment.now_s, state.aperture_m, force_n
         began_s, began_m, began_n = self._run_from
         travel_m = began_m - state.aperture_m
         if sample is not None and sample.valid:
@@ -377,8 +373,8 @@ class PartWatch:
         if stiffness_n_m is None or self._ahead_from is None:
             return False
         settings, linkage = self._grip.settings, self._grip.mechanics.linkage
-        began_m, began_n = self._ahead_from
-        travel_m = began_m - self._grip.apertures.at(sample.measured_s)
+        _, began_m, began_n = self._ahead_from
+        travel_m = began_m - self._grip.stiffness.apertures.at(sample.measured_s)
         promised_n = stiffness_n_m * travel_m
         least_m_s = 0.5 * settings.runaway_speed_m_s / len(state.servos)
         return (

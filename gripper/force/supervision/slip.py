@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Sequence
 from itertools import pairwise
-from math import exp, hypot, sqrt
+from math import exp, hypot, inf, sqrt
 from statistics import fmean
 from typing import NamedTuple
 
@@ -40,16 +40,15 @@ class SlipWatch:
 
     def __init__(self, settings: GripperSettings) -> None:
         self._settings = settings
-        self._last_s = self._setpoint_n = 0.0
-        self._begin()
+        self._last_s, self._setpoint_n = -inf, 0.0
 
-    def _begin(self) -> None:
+    def _begin(self, now_s: float) -> None:
         """Begin to watch another force."""
+        self._since_s = now_s
         self._recent = RecentForce()
         self._usual_n = self._usual_s = 0.0
         self._was_low = False
         self._aperture_m: float | None = None
-        self._since_s: float | None = None
         self._slide = SlideWatch(self._settings)
 
     def check(self, moment: Moment, *, setpoint_n: float, opens: bool = False) -> None:
@@ -62,7 +61,7 @@ class SlipWatch:
         paused = moment.now_s - self._last_s > RECOVERED_S
         if paused or opens or abs(setpoint_n - self._setpoint_n) > 0.1 * tolerance_n:
             self._setpoint_n = setpoint_n
-            self._begin()
+            self._begin(moment.now_s)
         self._last_s = moment.now_s
         if (sign := self._sign(moment, setpoint_n)) is not None:
             raise PartSlipped(
@@ -72,22 +71,19 @@ class SlipWatch:
 
     def _sign(self, moment: Moment, setpoint_n: float) -> str | None:
         """Add one period at a level and return the sign of a slip as text, or None."""
-        now_s, aperture_m, sample = moment.now_s, moment.state.aperture_m, moment.sample
-        if self._since_s is None:
-            self._since_s = now_s
-        slide = self._slide.check(now_s - self._since_s, sample)
-        if slide is not None or now_s - self._since_s < STEADY_S:
+        held_s, aperture_m = moment.now_s - self._since_s, moment.state.aperture_m
+        slide = self._slide.check(held_s, moment.sample)
+        if slide is not None or held_s < STEADY_S:
             return slide
         if self._aperture_m is None:
             self._aperture_m = aperture_m
-        settings = self._settings
         closed_m = self._aperture_m - aperture_m
-        if closed_m > settings.slip_travel_m:
+        if closed_m > self._settings.slip_travel_m:
             return (
                 f"the fingers have closed by {closed_m * 1e3:.2f} mm at a steady force, unless a "
                 f"reported position drifts"
             )
-        return self._drop(sample, setpoint_n)
+        return self._drop(moment.sample, setpoint_n)
 
     def _drop(self, sample: ForceSample | None, setpoint_n: float) -> str | None:
         """Add the newest sample and return a drop of the force as text, or None."""

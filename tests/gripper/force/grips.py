@@ -26,7 +26,7 @@ def make_grip(force_n: float = 1.0, touch_m: float | None = None) -> Grip:
     stiffness.bounds_n_m = 0.25 * STIFFNESS_N_M, STIFFNESS_N_M
     touch_m = touch_m or STATE.aperture_m + 2.0 * force_n / STIFFNESS_N_M
     grip = Grip(mechanics=mechanics, stiffness=stiffness, touch_m=touch_m, force_n=force_n)
-    grip.apertures.add(0.0, STATE.aperture_m)
+    stiffness.apertures.add(0.0, STATE.aperture_m)
     return grip
 
 

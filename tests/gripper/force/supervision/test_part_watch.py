@@ -60,7 +60,7 @@ class Watched:
             speed_m_s=-self.closing_m_s,
             drive_n=self.pressing_n,
         )
-        self.grip.apertures.add(self.now_s, self.aperture_m)
+        self.grip.stiffness.apertures.add(self.now_s, self.aperture_m)
         first, *others = moment.state.servos
         first = replace(first, velocity_rad_s=self.first_share * first.velocity_rad_s)
         state = replace(moment.state, servos=(first, *others))
