@@ -511,7 +511,7 @@ class Gripper:
         After the ramp, or without a grasp, a call changes nothing, also for the next grasp. A stop,
         a fault and the loss of the part have priority.
         """
-        self._grasping.end_ramp()
+        self._grasping.end.set()
 
     def request_stop(self) -> None:
         """Stop the running command with GraspStopped; safe from any thread.

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from gripper.errors import GripContradicted, PartLost
 from gripper.force.approach.approach import Approach, ApproachEvent, ContactRest
-from gripper.force.approach.mechanics_proof import ZERO_RANGE_M, closes_farther, meeting, not_met
+from gripper.force.approach.mechanics_proof import LARGEST_MIN_M, ZERO_RANGE_M, meeting, not_met
 from gripper.force.certainty import RUN_STEPS, STEADY_S
 from gripper.force.control.grip_control import GripControl
 from gripper.force.estimates.free_motion import FreeMotion
@@ -48,7 +48,8 @@ class GraspRun:
         self._set_phase = set_phase
         self._free = free
         self._mechanics, self._settings = runner.servos.mechanics, runner.servos.settings
-        self._end = threading.Event()
+        self.end = threading.Event()
+        """Request to end the running ramp; each grasp discards earlier requests."""
         self._ramp_step: ContactStep | None = None
         self.start_proving()
 
@@ -61,13 +62,6 @@ class GraspRun:
         """Repeat the proof of the closed position and the learning, after the torque comes on."""
         self._closed_is_proven = False
         self._widest_m, self._touched = 0.0, 0
-
-    def end_ramp(self) -> None:
-        """End the running ramp at its present set-point, from any thread; see `Gripper.end_ramp`.
-
-        Each grasp discards earlier requests.
-        """
-        self._end.set()
 
     def run(self, ramp: ForceRamp) -> GraspOutcome:
         """Approach, then follow the ramp to its end, or until it is ended on request."""
@@ -84,7 +78,8 @@ class GraspRun:
             self._confirm_empty(contact, ran=closed or closing, stiffness_n_m=None)
             self._set_phase(GripperPhase.APPROACHING)
             # Checked once, after a grasp without a part: the pads must stop each other.
-            if not self._closed_is_proven and closes_farther(self._settings, contact):
+            farther = closed and self._settings.aperture_min_m <= LARGEST_MIN_M
+            if farther and not self._closed_is_proven:
                 self._closed()
             return GraspOutcome(result=GraspResult.NO_CONTACT, final_aperture_m=contact.aperture_m)
         self._widest_m = max(self._widest_m, reached.touch_m)
@@ -97,13 +92,13 @@ class GraspRun:
         if reached.event is ApproachEvent.OBSTRUCTED:
             raise _obstructed(reached)
         if reached.state.aperture_m > ZERO_RANGE_M:
-            self._end.set()
+            self.end.set()
         return self._press(ramp, reached, slips=False)
 
     def _press(self, ramp: ForceRamp, reached: Approach, *, slips: bool) -> GraspOutcome:
         """Follow a ramp on the touched part; forget a part that is lost on the ramp."""
         self._set_phase(GripperPhase.RAMPING)
-        self._ramp_step = step = ContactStep(ramp, reached, self._end, slips=slips)
+        self._ramp_step = step = ContactStep(ramp, reached, self.end, slips=slips)
         final = self._runner.run(step.step)
         if step.lost:
             ran = step.control is not None and step.control.watch.ran
@@ -132,7 +127,7 @@ class GraspRun:
         The last grip, and earlier requests to end a ramp, are discarded.
         """
         self._ramp_step = None
-        self._end.clear()
+        self.end.clear()
         # Fingers that shall meet find no part.
         widest_m = None
         if mechanics is self._mechanics and self._touched > 0:

@@ -47,7 +47,6 @@ from gripper.mechanics.kinematics import Linkage
 from gripper.mechanics.transmission import Mechanics
 from gripper.servos.feedback import BEYOND_CLOSED_M
 from gripper.servos.goal_limits import BEYOND_MIDDLE_M
-from gripper.settings import GripperSettings
 from gripper.values.servo_checks import VerificationRow
 from gripper.values.state import ServoFeedback
 
@@ -60,14 +59,9 @@ _PADS_GIVE_M = 0.001
 """Yield of two pads that press on each other, in m. [assumed]"""
 _LONGER = 3.0
 """Factor on ``contact_timeout_s`` for fingers that close completely. [chosen]"""
-_LARGEST_MIN_M = 0.002
+LARGEST_MIN_M = 0.002
 """Largest ``aperture_min_m`` in m from which the fingers close farther to find each other.
 [chosen]"""
-
-
-def closes_farther(settings: GripperSettings, state: ServoFeedback) -> bool:
-    """Return whether fingers that have found nothing may close farther."""
-    return state.aperture_m <= settings.aperture_min_m <= _LARGEST_MIN_M
 
 
 def mechanics_text(mechanics: Mechanics) -> str:

@@ -27,6 +27,34 @@ _SLIDE_FIRST_S = 3.5 * FRAME_S
 """Time in s of samples, at least, before a centre is compared with theirs: 4 samples at 50 Hz."""
 
 
+class _Centre(NamedTuple):
+    """Mean of ``n`` centres of force in m, and the variance of each of their coordinates in m²."""
+
+    x_m: float
+    y_m: float
+    variance_m2: float
+    n: int
+
+    @classmethod
+    def of(cls, samples: Sequence[ForceSample], *, scatter: bool = False) -> "_Centre":
+        x_m, y_m = zip(*[sample.centre_m for sample in samples if sample.centre_m], strict=True)
+        variance_m2 = fmean([sample.centre_noise_m**2 for sample in samples])
+        if scatter and len(samples) > 1 and samples[0].frame_s is not None:
+            # A unit may sum more taxels for its messages than its frames show as touched. A slide
+            # hardly adds to the differences of successive messages (von Neumann 1941).
+            for all_m in (x_m, y_m):
+                shown_m2 = 0.5 * fmean([(b_m - a_m) ** 2 for a_m, b_m in pairwise(all_m)])
+                variance_m2 = max(variance_m2, shown_m2)
+        return cls(fmean(x_m), fmean(y_m), variance_m2, len(samples))
+
+    def beyond_m(self, earlier: "_Centre", allowed_m: float) -> float:
+        """Return the distance in m; 0 if it is allowed or within the noise."""
+        way_m = hypot(self.x_m - earlier.x_m, self.y_m - earlier.y_m)
+        variance_m2 = max(self.variance_m2, earlier.variance_m2)
+        noise_m = _SLIDE_SDS * sqrt(variance_m2 * (1.0 / self.n + 1.0 / earlier.n))
+        return way_m if way_m > max(allowed_m, noise_m) else 0.0
+
+
 class SlipWatch:
     """Slip detector of a grip.
 
@@ -49,7 +77,9 @@ class SlipWatch:
         self._usual_n = self._usual_s = 0.0
         self._was_low = False
         self._aperture_m: float | None = None
-        self._slide = SlideWatch(self._settings)
+        self._first_centre: _Centre | None = None
+        self._earlier: deque[ForceSample] = deque()
+        self._present: deque[ForceSample] = deque()
 
     def check(self, moment: Moment, *, setpoint_n: float, opens: bool = False) -> None:
         """Add one period at a steady set-point; raises PartSlipped when the part slips.
@@ -72,7 +102,7 @@ class SlipWatch:
     def _sign(self, moment: Moment, setpoint_n: float) -> str | None:
         """Add one period at a level and return the sign of a slip as text, or None."""
         held_s, aperture_m = moment.now_s - self._since_s, moment.state.aperture_m
-        slide = self._slide.check(held_s, moment.sample)
+        slide = self._slid(held_s, moment.sample)
         if slide is not None or held_s < STEADY_S:
             return slide
         if self._aperture_m is None:
@@ -115,66 +145,16 @@ class SlipWatch:
             share = max(1.0 - exp(-time_s / _USUAL_TIME_S), time_s / self._usual_s)
             self._usual_n += share * (sample.grip_n - self._usual_n)
 
+    def _slid(self, held_s: float, sample: ForceSample | None) -> str | None:
+        """Add the newest sample and return a slide along the pads as text, or None.
 
-class _Centre(NamedTuple):
-    """Mean of ``n`` centres of force in m, and the variance of each of their coordinates in m²."""
-
-    x_m: float
-    y_m: float
-    variance_m2: float
-    n: int
-
-    @classmethod
-    def of(cls, samples: Sequence[ForceSample], *, scatter: bool = False) -> "_Centre":
-        x_m, y_m = zip(*[sample.centre_m for sample in samples if sample.centre_m], strict=True)
-        variance_m2 = fmean([sample.centre_noise_m**2 for sample in samples])
-        if scatter and len(samples) > 1 and samples[0].frame_s is not None:
-            # A unit may sum more taxels for its messages than its frames show as touched. A slide
-            # hardly adds to the differences of successive messages (von Neumann 1941).
-            for all_m in (x_m, y_m):
-                shown_m2 = 0.5 * fmean([(b_m - a_m) ** 2 for a_m, b_m in pairwise(all_m)])
-                variance_m2 = max(variance_m2, shown_m2)
-        return cls(fmean(x_m), fmean(y_m), variance_m2, len(samples))
-
-    def beyond_m(self, earlier: "_Centre", allowed_m: float) -> float:
-        """Return the distance in m; 0 if it is allowed or within the noise."""
-        way_m = hypot(self.x_m - earlier.x_m, self.y_m - earlier.y_m)
-        variance_m2 = max(self.variance_m2, earlier.variance_m2)
-        noise_m = _SLIDE_SDS * sqrt(variance_m2 * (1.0 / self.n + 1.0 / earlier.n))
-        return way_m if way_m > max(allowed_m, noise_m) else 0.0
-
-
-class SlideWatch:
-    """Detector of a part that slides along the pads: the centre of its force moves with it.
-
-    A sudden motion only has to exceed the noise. A slow one, which may be creeping foam, is
-    compared with the first centre.
-
-    Parameters
-    ----------
-    settings
-        Of the gripper.
-    """
-
-    def __init__(self, settings: GripperSettings) -> None:
-        self._settings = settings
-        self._first: _Centre | None = None
-        self._before: deque[ForceSample] = deque()
-        self._recent: deque[ForceSample] = deque()
-
-    def check(self, held_s: float, sample: ForceSample | None) -> str | None:
-        """Add the newest sample and return a slide as text, or None.
-
-        Parameters
-        ----------
-        held_s
-            Time of steady force in s.
-        sample
-            Newest sample, which may be the same as before.
+        The centre of the force moves with the part. A sudden motion only has to exceed the noise.
+        A slow one, which may be creeping foam, is compared with the first centre. ``held_s``: time
+        of steady force in s.
         """
         if sample is None or not sample.valid or sample.centre_m is None:
             return None
-        recent, before = self._recent, self._before
+        recent, before = self._present, self._earlier
         if held_s < BRIEF_S or (recent and sample.t_s == recent[-1].t_s):
             return None
         recent.append(sample)
@@ -182,17 +162,17 @@ class SlideWatch:
             before.append(recent.popleft())
         while before and recent[0].t_s - before[0].t_s > _SLIDE_BEFORE_S:
             before.popleft()
-        if self._first is None:
+        if self._first_centre is None:
             if not before or recent[0].t_s - before[0].t_s < _SLIDE_FIRST_S:
                 return None
-            self._first = _Centre.of(before, scatter=True)
+            self._first_centre = _Centre.of(before, scatter=True)
         now, slide_m = _Centre.of(recent), self._settings.slide_m
         # After a gap of the samples there is only the first centre.
         sudden_m = 0.0
         if before:
             earlier = _Centre.of(before, scatter=True)
             sudden_m = now.beyond_m(earlier, min(CREEP_M, slide_m))
-        along_m = max(now.beyond_m(self._first, slide_m), sudden_m)
+        along_m = max(now.beyond_m(self._first_centre, slide_m), sudden_m)
         if not along_m:
             return None
         # Counts added to all taxels move the centre of the force towards the middle of the pads.
