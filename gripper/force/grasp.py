@@ -96,16 +96,31 @@ class GraspRun:
         return self._press(ramp, reached, slips=False)
 
     def _press(self, ramp: ForceRamp, reached: Approach, *, slips: bool) -> GraspOutcome:
-        """Follow a ramp on the touched part; forget a part that is lost on the ramp."""
+        """Rest at the contact, follow a ramp; forget a part that is lost on the ramp."""
         self._set_phase(GripperPhase.RAMPING)
-        self._ramp_step = step = ContactStep(ramp, reached, self.end, slips=slips)
-        final = self._runner.run(step.step)
+        contact = reached.state
+        rest = ContactRest(contact.t_s, hard_n=_HARD * self._settings.contact_force_n)
+
+        def rest_then_press(moment: Moment) -> Action:
+            reached.stiffness.push(moment)
+            if self._ramp_step is not None:
+                return self._ramp_step.step(moment)
+            if rest.goes_on(moment):
+                return Action()
+            control = GripControl(reached, force_n=rest.force_n, moment=moment)
+            begun = ramp.starting_from(rest.force_n)
+            self._ramp_step = ContactStep(control, begun, self.end, slips=slips)
+            return self._ramp_step.press(moment)
+
+        final, step = self._runner.run(rest_then_press), self._ramp_step
+        assert step is not None
         if step.lost:
-            ran = step.control is not None and step.control.watch.ran
             stiffness_n_m = reached.stiffness.stiffness_n_m or SOFTEST_N_M
+            ran = step.control.watch.ran
             self._confirm_empty(final, ran=ran, stiffness_n_m=stiffness_n_m)
             self._ramp_step = None
-        return step.outcome(final)
+        outcome = step.outcome(final)
+        return replace(outcome, contact_t_s=contact.t_s, contact_aperture_m=contact.aperture_m)
 
     def _confirm_empty(
         self, state: ServoFeedback, *, ran: bool, stiffness_n_m: float | None
@@ -118,7 +133,8 @@ class GraspRun:
     def squeeze(self, control: GripControl, ramp: ForceRamp) -> GraspOutcome:
         """Follow a further ramp in the same grip; see `Gripper.squeeze`."""
         begun = ramp.starting_from(control.grip.setpoint_n)
-        step = GripStep(self._settings, control, begun, levels=True)
+        control.resume(ramp.final_n)
+        step = GripStep(control, begun, levels=True)
         return step.outcome(self._runner.run(step.step))
 
     def _approach(self, mechanics: Mechanics) -> Approach:
@@ -220,43 +236,27 @@ class GripStep:
 
     Parameters
     ----------
-    settings
-        Of the gripper.
     control
-        Control of the held part; None before the contact.
+        Control of the held part, resumed for the change.
     ramp
         The change of force.
     levels
         Whether the levels of the ramp are part of its actions.
-    slips
-        Whether a part could slip.
     """
 
-    def __init__(
-        self,
-        settings: GripperSettings,
-        control: GripControl | None,
-        ramp: ForceRamp,
-        *,
-        levels: bool = False,
-        slips: bool = True,
-    ) -> None:
+    def __init__(self, control: GripControl, ramp: ForceRamp, *, levels: bool = False) -> None:
         self.control = control
-        """Control of the grip force; None before it began."""
+        """Control of the grip force."""
         self.lost = False
         """True when the part was lost; then the fingers hold their positions."""
-        self._settings = settings
-        self._time = RampTime(settings, ramp)
-        self._levels, self._slips = levels, slips
+        self._settings = control.grip.settings
+        self._time = RampTime(self._settings, ramp)
+        self._levels, self._slips = levels, True
         self._peak_n = 0.0
-        self._contact: ServoFeedback | None = None
         self._ended = False
-        if control is not None:
-            control.resume(ramp.final_n)
 
     def step(self, moment: Moment) -> Action:
         """Return the action of one period; PartLost, PartSlipped when the part goes."""
-        assert self.control is not None
         if self.control.watch.update(moment):
             raise PartLost(
                 f"the part has slipped out or was taken: the pads are empty, or nothing holds the "
@@ -264,13 +264,13 @@ class GripStep:
                 f"fingers stand still"
             )
         self._time.advance(moment.dt_s, self.control.grip.force_n, moment.state.aperture_m)
-        action = self._action(moment, self.control)
+        action = self._action(moment)
         return action if self._levels else replace(action, level=None)
 
-    def _action(self, moment: Moment, control: GripControl) -> Action:
+    def _action(self, moment: Moment) -> Action:
         """Return the action of one period at the present time on the ramp."""
-        setpoint_n, level = self._time.setpoint_n, self._time.level
-        goals = control.goals(moment, setpoint_n, arrival_n=self._time.arrival_n)
+        control, level = self.control, self._time.level
+        goals = control.goals(moment, self._time.setpoint_n, arrival_n=self._time.arrival_n)
         setpoint_n = control.grip.setpoint_n
         self._peak_n = max(self._peak_n, control.force_n)
         if self.lost:
@@ -290,7 +290,7 @@ class GripStep:
 
     def outcome(self, final: ServoFeedback) -> GraspOutcome:
         """Return the outcome of the ramp; ``final`` is its last feedback."""
-        final_n = 0.0 if self.control is None else self.control.force_n
+        final_n = self.control.force_n
         requested_n, ended_n = self._time.requested_n, self._time.ramp.final_n
         reached = abs(final_n - requested_n) <= self._settings.settle_tolerance_at_n(requested_n)
         held = GraspResult.FORCE_REACHED if reached else GraspResult.FORCE_NOT_REACHED
@@ -306,8 +306,6 @@ class GripStep:
                 )
         return GraspOutcome(
             result=GraspResult.PART_LOST if self.lost else held,
-            contact_t_s=None if self._contact is None else self._contact.t_s,
-            contact_aperture_m=None if self._contact is None else self._contact.aperture_m,
             final_aperture_m=final.aperture_m,
             final_force_n=final_n,
             overshoot_n=max(0.0, self._peak_n - ended_n),
@@ -317,50 +315,40 @@ class GripStep:
 
 
 class ContactStep(GripStep):
-    """Step of control from a contact along a ramp: rest, ramp, settling.
+    """Step of control from a contact along a ramp, until it has settled or the part is lost.
 
     Parameters
     ----------
+    control
+        Control of the part, just begun.
     ramp
-        Set-point of the grip force; it begins at the measured force at the contact.
-    reached
-        End of the approach.
+        Set-point of the grip force, from the measured force at the contact.
     end
         Request to end the ramp early.
     slips
-        As `GripStep`.
+        Whether a part could slip.
     """
 
     def __init__(
-        self, ramp: ForceRamp, reached: Approach, end: threading.Event, *, slips: bool
+        self, control: GripControl, ramp: ForceRamp, end: threading.Event, *, slips: bool
     ) -> None:
-        super().__init__(reached.settings, None, ramp, slips=slips)
-        self._reached, self._contact = reached, reached.state
-        self._end = end
-        self._rest = ContactRest(reached.state.t_s, hard_n=_HARD * reached.settings.contact_force_n)
+        super().__init__(control, ramp)
+        self._end, self._slips = end, slips
 
     def step(self, moment: Moment) -> Action:
         """Return the action of one period. Raises PartSlipped when a held part slips."""
-        self._reached.stiffness.push(moment)
-        if self.control is None and self._rest.goes_on(moment):
-            return Action()
-        control = self._advance(moment)
-        self.lost = control.watch.update(moment)
-        return self._action(moment, control)
-
-    def _advance(self, moment: Moment) -> GripControl:
-        """Advance the time on the ramp: begin it, end it early, or continue."""
-        if self.control is None:
-            self.control = GripControl(self._reached, force_n=self._rest.force_n, moment=moment)
-            begun = self._time.ramp.starting_from(self._rest.force_n)
-            self._time = RampTime(self._settings, begun)
-        elif not self._ended and self._ends_early():
+        if not self._ended and self._ends_early():
             ended = self._time.ramp.ended_at(self._time.elapsed_s)
             self._time = RampTime(self._settings, ended)
             self._ended = True
         else:
             self._time.advance(moment.dt_s, self.control.grip.force_n, moment.state.aperture_m)
-        return self.control
+        return self.press(moment)
+
+    def press(self, moment: Moment) -> Action:
+        """Return the action of one period at the present time, also the first one."""
+        self.lost = self.control.watch.update(moment)
+        return self._action(moment)
 
     def _ends_early(self) -> bool:
         """Return whether to end the ramp now: requested, not over, and enough to hold a part."""
@@ -374,10 +362,10 @@ class ContactStep(GripStep):
 class HoldStep(GripStep):
     """Step of control that holds the last set-point for a time in s; it may be without end."""
 
-    def __init__(self, settings: GripperSettings, control: GripControl, duration_s: float) -> None:
+    def __init__(self, control: GripControl, duration_s: float) -> None:
         held_n = control.grip.setpoint_n
-        held = ForceRamp.linear(held_n, 1.0, start_n=held_n)
-        super().__init__(settings, control, held)
+        control.resume(held_n)
+        super().__init__(control, ForceRamp.linear(held_n, 1.0, start_n=held_n))
         self._left_s = duration_s
 
     def step(self, moment: Moment) -> Action:
