@@ -87,7 +87,7 @@ class ViewSettings:
     novelty_slope: float = 2.0
     """Log odds of a new object for each unit of the novelty [taught part]."""
     known_share: float = 0.97
-    """Share of held-out grasps below the limit of novelty [6]."""
+    """Share of rightly named held-out grasps below the limit of novelty [6]."""
     usual_novelty: float = 3.0
     """Expected mean novelty of held-out grasps, without the size [6]."""
     usual_beyond: tuple[float, float] = (0.8, 1.9)
@@ -330,12 +330,14 @@ def fit_view(
     held = [(block, teaching.model(~block)) for block in blocked_folds(classes, SETTINGS.blocks)]
     rows, scores, novelty = teaching.held_out_scores(held)
     temperature = fit_temperature(scores, classes[rows])
+    # A grasp that gets a wrong name had better be new: it must not raise the limit.
+    right = scores.argmax(axis=1) == classes[rows]
     whole = teaching.model(np.ones(len(classes), dtype=np.bool_))
     log_sums = logsumexp(scores / temperature, axis=1)
     return View(
         model=whole,
         temperature=temperature,
-        limit=_limit(novelty, whole.taught.shape[1]),
+        limit=_limit(novelty[right] if right.any() else novelty, whole.taught.shape[1]),
         log_new=float(np.quantile(log_sums, SETTINGS.new_quantile)),
         placing_mm=_placing_mm(levels, classes) if opening else 0.0,
         even_share=_even_share(teaching, held, temperature) if opening else 0.0,
