@@ -322,7 +322,7 @@ class Gripper:
             raise errors.LimitExceeded(f"duration_s is {duration_s}, must be above 0")
         with self._command("hold", observer):
             try:
-                return self._runner.run(HoldStep(control, duration_s).step)
+                return self._runner.run(HoldStep(self.settings, control, duration_s).step)
             finally:
                 if self._carried is not None:
                     with suppress(errors.GripperError):
@@ -353,13 +353,13 @@ class Gripper:
         with self._command("hold_at", observer):
             if force_n != control.grip.setpoint_n:
                 control.resume(force_n)
-                state = self._runner.run(GripStep(control, ramp).step)
+                state = self._runner.run(GripStep(self.settings, control, ramp).step)
             self._life.phase = GripperPhase.HOLDING
             if duration_s > 0.0 or force_n == control.grip.setpoint_n:
                 hold_s = max(duration_s, self.settings.period_s)
-                state = self._runner.run(HoldStep(control, hold_s).step)
+                state = self._runner.run(HoldStep(self.settings, control, hold_s).step)
             self._servos.disarm_watchdog()
-        carrying = HoldStep(control, inf)
+        carrying = HoldStep(self.settings, control, inf)
         control.grip.carried_s = min(control.grip.carried_s, state.t_s + RECOVERED_S)
         self._carried = self._runner.start_command(carrying.step, now_s=state.t_s)
         return state

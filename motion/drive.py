@@ -170,7 +170,7 @@ class Cia402Drive(Axis):
             wait=bus.wait,
             timeout_s=_SDO_SHARE * bus.loss_s,
         )
-        self._client.network = bus  # it names the failures of the interface
+        self._client.network = bus  # it raises AxisSilent if the interface fails
         self._heard_s = 0.0
         self._nmt_state = _OPERATIONAL
         self._homed = False

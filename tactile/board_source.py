@@ -80,7 +80,7 @@ class Board:
         self.waiting.append((begun_s, t_s, samples))
 
     def tore(self, t_s: float) -> None:
-        """Count a frame that ended without all its bytes or messages."""
+        """Count a damaged frame."""
         self.counts.torn += 1
         self.ended.append((t_s, False))
 

@@ -65,7 +65,15 @@ class BoardLine(Protocol):
 
 
 class FlexiTacBoard(Board):
-    """One board: converts its bytes to whole frames."""
+    """One board: converts its bytes to whole frames.
+
+    Parameters
+    ----------
+    finger, profile
+        Finger of its pad, and the pad's size.
+    rows_along
+        Whether the rows of a frame lie along the finger.
+    """
 
     def __init__(self, finger: int, profile: Profile, *, rows_along: bool) -> None:
         self._profile, self._rows_along = profile, rows_along
@@ -84,6 +92,7 @@ class FlexiTacBoard(Board):
         self.locked = False
         """Whether one offset of the header is known."""
         self._unlocked_by = "it sends nothing"
+        """Reason for the missing lock; empty with a lock."""
 
     @property
     def trouble(self) -> str:

@@ -270,7 +270,7 @@ class SdkPort:
         return not self._ahead and self._clock.monotonic() >= self._deadline_s - _TIMER_GRAIN_S
 
     def _call(self, method: Callable[..., Any], *args: object) -> Any:
-        """Call a method of the stream; its loss is a PortLost, also where it is an OSError."""
+        """Call a method of the stream. Raises PortLost for an OSError."""
         try:
             return method(*args)
         except OSError as error:

@@ -109,7 +109,8 @@ class GraspRun:
                 return Action()
             control = GripControl(reached, force_n=rest.force_n, moment=moment)
             begun = ramp.starting_from(rest.force_n)
-            self._ramp_step = ContactStep(control, begun, self.end, slips=slips)
+            settings = reached.settings
+            self._ramp_step = ContactStep(settings, control, begun, self.end, slips=slips)
             return self._ramp_step.press(moment)
 
         final, step = self._runner.run(rest_then_press), self._ramp_step
@@ -134,7 +135,7 @@ class GraspRun:
         """Follow a further ramp in the same grip; see `Gripper.squeeze`."""
         begun = ramp.starting_from(control.grip.setpoint_n)
         control.resume(ramp.final_n)
-        step = GripStep(control, begun, levels=True)
+        step = GripStep(self._settings, control, begun, levels=True)
         return step.outcome(self._runner.run(step.step))
 
     def _approach(self, mechanics: Mechanics) -> Approach:
@@ -236,21 +237,30 @@ class GripStep:
 
     Parameters
     ----------
+    settings
+        Of the gripper, which end a rise of closed fingers.
     control
-        Control of the held part, resumed for the change.
+        Control of the held part; the caller resumes it for the change.
     ramp
         The change of force.
     levels
         Whether the levels of the ramp are part of its actions.
     """
 
-    def __init__(self, control: GripControl, ramp: ForceRamp, *, levels: bool = False) -> None:
+    def __init__(
+        self,
+        settings: GripperSettings,
+        control: GripControl,
+        ramp: ForceRamp,
+        *,
+        levels: bool = False,
+    ) -> None:
         self.control = control
         """Control of the grip force."""
         self.lost = False
         """True when the part was lost; then the fingers hold their positions."""
-        self._settings = control.grip.settings
-        self._time = RampTime(self._settings, ramp)
+        self._settings = settings
+        self._time = RampTime(settings, ramp)
         self._levels, self._slips = levels, True
         self._peak_n = 0.0
         self._ended = False
@@ -319,6 +329,8 @@ class ContactStep(GripStep):
 
     Parameters
     ----------
+    settings
+        Those of the approach.
     control
         Control of the part, just begun.
     ramp
@@ -330,9 +342,15 @@ class ContactStep(GripStep):
     """
 
     def __init__(
-        self, control: GripControl, ramp: ForceRamp, end: threading.Event, *, slips: bool
+        self,
+        settings: GripperSettings,
+        control: GripControl,
+        ramp: ForceRamp,
+        end: threading.Event,
+        *,
+        slips: bool,
     ) -> None:
-        super().__init__(control, ramp)
+        super().__init__(settings, control, ramp)
         self._end, self._slips = end, slips
 
     def step(self, moment: Moment) -> Action:
@@ -346,7 +364,7 @@ class ContactStep(GripStep):
         return self.press(moment)
 
     def press(self, moment: Moment) -> Action:
-        """Return the action of one period at the present time, also the first one."""
+        """Return the action of one period at the present time on the ramp."""
         self.lost = self.control.watch.update(moment)
         return self._action(moment)
 
@@ -362,10 +380,10 @@ class ContactStep(GripStep):
 class HoldStep(GripStep):
     """Step of control that holds the last set-point for a time in s; it may be without end."""
 
-    def __init__(self, control: GripControl, duration_s: float) -> None:
+    def __init__(self, settings: GripperSettings, control: GripControl, duration_s: float) -> None:
         held_n = control.grip.setpoint_n
         control.resume(held_n)
-        super().__init__(control, ForceRamp.linear(held_n, 1.0, start_n=held_n))
+        super().__init__(settings, control, ForceRamp.linear(held_n, 1.0, start_n=held_n))
         self._left_s = duration_s
 
     def step(self, moment: Moment) -> Action:

@@ -39,7 +39,7 @@ class RampSegment:
 class ForceRamp:
     """Set-point of the grip force, continuous and monotone from its start to its end.
 
-    Made by `linear` or `staircase`.
+    Made by `linear` or `staircase`, which check it.
     """
 
     segments: tuple[RampSegment, ...]
@@ -169,7 +169,8 @@ def check_ramp(ramp: ForceRamp, mechanics: Mechanics) -> None:
     LimitExceeded
         When a limit does not allow the ramp; the allowed number is named.
     """
-    settings, largest_n = mechanics.settings, max(ramp.start_n, ramp.final_n)
+    settings = mechanics.settings
+    largest_n = max(max(segment.start_n, segment.end_n) for segment in ramp.segments)
     limit_n = largest_setpoint_n(settings.force_max_n)
     if largest_n > limit_n:
         raise LimitExceeded(

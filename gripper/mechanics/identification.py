@@ -160,14 +160,14 @@ def grown(point: FreePoint, drive: DriveCharacteristic) -> float:
 
 
 def _rising_a(values: Array, load_nm: Array) -> Array:
-    """Return currents of loads that rise, by A for each N m, and A without a load."""
+    """Return currents of rising loads; ``values``: A for each N m, and A without a load."""
     slope, base_a = values
     current_a: Array = slope * load_nm + base_a
     return current_a
 
 
 def _falling_a(values: Array, load_nm: Array) -> Array:
-    """Return currents of loads that fall, by A for each N m, yielding share, A without a load."""
+    """Return currents of falling loads; ``values``: A for each N m, yielding share, A at 0."""
     slope, share, base_a = values
     passive_nm = share * base_a / slope
     above_nm = load_nm - passive_nm

@@ -43,7 +43,7 @@ class PolledSdoClient(SdoClient):
 
     ``client["Identity object.Vendor-ID"].raw`` reads an object by its name in the EDS, and an
     assignment writes it. Lost transfers are repeated. Raises NodeMissing without a usable answer,
-    and ObjectRefused for an abort. Its ``network`` names the failures of the interface.
+    ObjectRefused for an abort, and what `send_message` of its ``network`` raises.
 
     Parameters
     ----------

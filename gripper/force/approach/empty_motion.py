@@ -340,7 +340,7 @@ class _Finger:
     def goal_rad(
         self, servo: ServoState, dt_s: float, rate_rad_s: float, *, back: bool = False
     ) -> float:
-        """Return the goal of one period in rad, which runs ahead at a rate in rad/s."""
+        """Return the goal of one period in rad; it runs ahead of the finger at a rate in rad/s."""
         model, angle_rad = self.servo.servo_model, servo.angle_rad
         left_rad = self.sign * (self._target_rad - angle_rad)
         self.there = not back and left_rad <= _REACHED_PULSES * model.rad_per_pulse

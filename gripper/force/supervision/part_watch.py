@@ -1,4 +1,4 @@
-"""Watch of a gripped part: whether it is there, whether pads and fingers agree, whether it is gone.
+"""Watch of a gripped part, and the confirmation that nothing is held.
 
 Force samples alone do not decide: a control unit with zero messages would let a held part go.
 Another measurement must confirm them: fingers that run together, or a newer whole frame. If a frame

@@ -205,7 +205,7 @@ def control(*, lost: bool = False, suspicious: bool = False) -> Any:
 
 
 def test_the_end_of_a_hold_leaves_no_push_in_force() -> None:
-    step = HoldStep(control(), 1.5 * MOMENT.dt_s)
+    step = HoldStep(SETTINGS, control(), 1.5 * MOMENT.dt_s)
     pushes, ends = step.step(MOMENT), step.step(MOMENT)
     assert [action.goals[0].current_a for action in (pushes, ends)] == [0.3, 0.2]
     assert (pushes.done, ends.done) == (False, True)
@@ -215,12 +215,12 @@ def test_levels_are_watched_for_a_slip_unless_the_part_is_in_doubt() -> None:
     for suspicious in (True, False):
         held, checked_n = control(suspicious=suspicious), list[float]()
         held.slip.check = lambda _moment, setpoint_n, n=checked_n, **_: n.append(setpoint_n)
-        step = GripStep(held, STAIRS, levels=True)
-        HoldStep(held, 0.1).step(MOMENT)
+        step = GripStep(SETTINGS, held, STAIRS, levels=True)
+        HoldStep(SETTINGS, held, 0.1).step(MOMENT)
         watched = [step.step(MOMENT).level for _ in range(30)]
         assert set(watched) == {None, 0}
         assert len(checked_n) == (0 if suspicious else 1 + watched.count(0))
-    change = GripStep(control(), STAIRS)
+    change = GripStep(SETTINGS, control(), STAIRS)
     assert {change.step(MOMENT).level for _ in range(30)} == {None}
     with pytest.raises(PartLost, match=r"at an opening of 23\.4 mm"):
-        GripStep(control(lost=True), STAIRS).step(MOMENT)
+        GripStep(SETTINGS, control(lost=True), STAIRS).step(MOMENT)

@@ -61,7 +61,10 @@ def check(
 ) -> None:
     """Check a config file."""
     config = load_config(path)
-    RECOGNIZERS[config.recognition.recognizer]  # raises if it does not load
+    try:
+        RECOGNIZERS[config.recognition.recognizer]
+    except ConfigError as error:
+        raise ConfigError(f"{path}: recognition.recognizer: {error}") from error
     if config.simulated:
         simulator_settings(config)
     for note in config.notes:

@@ -28,8 +28,8 @@ from tests.gripper.force.grips import (
 
 MECHANICS = Mechanics(GripperSettings(), LINKAGE)
 PATHS = MECHANICS.transmissions(STATE.angles_rad)
-DRIVE = PATHS[0].drive
 """Gearings with Coulomb friction alone."""
+DRIVE = PATHS[0].drive
 NOISE_N = 0.1
 
 
