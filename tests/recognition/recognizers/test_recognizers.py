@@ -12,7 +12,7 @@ from recognition.grasp import Grasp
 from recognition.ramp.ramp import load_levels
 from recognition.recognizer import DEPENDENCE, UNKNOWN
 from recognition.recognizers import DEFAULT_TRAINER, make_trainer, trainer_names
-from recognition.recognizers.force_ramp.view import describe, even_in_time
+from recognition.recognizers.force_ramp.view import _Teaching, describe, even_in_time
 from tests.marks import LONG
 from tests.recognition.conftest import OBJECTS, accuracy, make_grasps, part
 from tests.values import make_pads
@@ -225,6 +225,21 @@ def test_a_size_between_two_taught_ones_is_no_taught_object(train, fresh):
     assert np.mean([taught.posterior(g).name == g.label for g in known]) >= 0.7
     moved = [Drift(aperture_offset_m=8e-3).apply(g) for g in known]
     assert all(taught.posterior(g).name == UNKNOWN for g in moved)
+
+
+def test_grasps_with_a_wrong_name_do_not_raise_the_limit_of_novelty(taught, train, monkeypatch):
+    scored = _Teaching.held_out_scores
+
+    def confused(teaching, held):
+        rows, scores, novelty = scored(teaching, held)
+        for i in range(0, len(rows), 8):
+            novelty[i], scores[i] = 9.0, 0.0
+            scores[i, teaching.classes[rows[i]] - 1] = 9.0
+        return rows, scores, novelty
+
+    monkeypatch.setattr(_Teaching, "held_out_scores", confused)
+    again = make_trainer("force_ramp").fit(train)
+    assert again.both.limit == pytest.approx(taught.both.limit, abs=0.3)
 
 
 @pytest.mark.slow
