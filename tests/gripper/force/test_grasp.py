@@ -77,6 +77,14 @@ def test_asked_in_the_approach_the_ramp_ends_as_it_begins(make_started, close, w
     assert started.peak_n < 4.0
 
 
+def test_a_further_rise_ends_where_pads_were_pressed_together(make_started) -> None:
+    cell = make_started(width_m=0.0003, noise_n=0.1)
+    cell.gripper.press_pads_together(ForceRamp.linear(3.0, 5.0))
+    more = cell.gripper.squeeze(ForceRamp.linear(12.0, 10.0))
+    assert "gripper.aperture_min_mm is 0.5)" in more.unreached
+    assert cell.peak_n < 4.0
+
+
 def test_a_force_that_could_not_hold_a_part_grows_until_it_can(make_started) -> None:
     cell = make_started(stiffness_n_m=2000.0, approach_speed_m_s=0.004, noise_n=0.02)
     asked_n: list[float] = []
