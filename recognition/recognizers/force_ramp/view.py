@@ -330,7 +330,7 @@ def fit_view(
     held = [(block, teaching.model(~block)) for block in blocked_folds(classes, SETTINGS.blocks)]
     rows, scores, novelty = teaching.held_out_scores(held)
     temperature = fit_temperature(scores, classes[rows])
-    # A grasp that gets a wrong name had better be new: it must not raise the limit.
+    # A grasp that would get a wrong name should be UNKNOWN: it must not raise the limit.
     right = scores.argmax(axis=1) == classes[rows]
     whole = teaching.model(np.ones(len(classes), dtype=np.bool_))
     log_sums = logsumexp(scores / temperature, axis=1)
