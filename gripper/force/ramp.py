@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from math import inf
 
 from gripper.errors import LimitExceeded
@@ -27,6 +26,12 @@ class RampSegment:
     level: int | None = None
     """Index of the level of a hold; None while the force changes."""
 
+    @property
+    def rate_n_s(self) -> float:
+        """Magnitude of the rate in N/s."""
+        change_n = abs(self.end_n - self.start_n)
+        return change_n / self.duration_s if change_n > 0.0 else 0.0
+
     def force_n(self, elapsed_s: float) -> float:
         """Return the force in N at a time within the piece."""
         if self.duration_s <= 0.0 or elapsed_s >= self.duration_s:
@@ -39,11 +44,31 @@ class RampSegment:
 class ForceRamp:
     """Set-point of the grip force, continuous and monotone from its start to its end.
 
-    Made by `linear` or `staircase`, which check it.
+    Made by `linear` or `staircase`.
     """
 
     segments: tuple[RampSegment, ...]
     """The pieces, in order; each starts at the force where the one before ends."""
+
+    def __post_init__(self) -> None:
+        if not self.segments:
+            raise LimitExceeded("a ramp needs at least one segment")
+        force_n = self.segments[0].start_n
+        signs: set[bool] = set()
+        for segment in self.segments:
+            check_number("duration_s of a segment", segment.duration_s, low=0.0)
+            check_number("start_n of a segment", segment.start_n, low=0.0)
+            check_number("end_n of a segment", segment.end_n, low=0.0)
+            if segment.start_n != force_n:
+                raise LimitExceeded(
+                    f"a segment starts at {segment.start_n} N, the one before ends at {force_n} N"
+                )
+            if segment.end_n != segment.start_n:
+                check_number("duration_s of a change of force", segment.duration_s, above=0.0)
+                signs.add(segment.end_n > segment.start_n)
+            force_n = segment.end_n
+        if len(signs) > 1:
+            raise LimitExceeded("a ramp goes up or down, not both")
 
     @classmethod
     def linear(
@@ -67,14 +92,9 @@ class ForceRamp:
         force_n = check_number("start_n", start_n, low=0.0)
         for index, level_n in enumerate(levels_n):
             rise_s = abs(check_number(f"levels_n[{index}]", level_n, low=0.0) - force_n) / rate_n_s
-            if level_n != force_n:
-                check_number("duration_s of a change of force", rise_s, above=0.0)
             segments.append(RampSegment(duration_s=rise_s, start_n=force_n, end_n=level_n))
             segments.append(_hold(level_n, hold_s, index))
             force_n = level_n
-        forces_n = pairwise((start_n, *levels_n))
-        if len({after_n > before_n for before_n, after_n in forces_n if after_n != before_n}) > 1:
-            raise LimitExceeded("a ramp goes up or down, not both")
         return cls(segments=tuple(segments))
 
     @property
@@ -95,12 +115,7 @@ class ForceRamp:
     @property
     def max_rate_n_s(self) -> float:
         """Largest magnitude of the rate in N/s."""
-        rates_n_s = [
-            abs(segment.end_n - segment.start_n) / segment.duration_s
-            for segment in self.segments
-            if segment.end_n != segment.start_n
-        ]
-        return max(rates_n_s, default=0.0)
+        return max(segment.rate_n_s for segment in self.segments)
 
     def setpoint_n(self, elapsed_s: float) -> float:
         """Return the force in N at a time since the start; the ends extend without bound."""
@@ -169,8 +184,7 @@ def check_ramp(ramp: ForceRamp, mechanics: Mechanics) -> None:
     LimitExceeded
         When a limit does not allow the ramp; the allowed number is named.
     """
-    settings = mechanics.settings
-    largest_n = max(max(segment.start_n, segment.end_n) for segment in ramp.segments)
+    settings, largest_n = mechanics.settings, max(ramp.start_n, ramp.final_n)
     limit_n = largest_setpoint_n(settings.force_max_n)
     if largest_n > limit_n:
         raise LimitExceeded(

@@ -246,10 +246,10 @@ class ForceLaw:
         if observer.speed_m_s == 0.0:
             may_start = error_n > 0.0 or (may_open and not carried)
             may_start &= sample.measured_s > self._pushes.effect_s
-            push_n = self._starting_n(moment, error_n) if may_start else 0.0
+            push_n = self._starting_n(moment, error_n, frictions_n) if may_start else 0.0
         else:
             errors_n = error_n, end_n - force_n
-            push_n = self._moving_n(moment, sample, errors_n, speed_m_s)
+            push_n = self._moving_n(moment, sample, errors_n, speed_m_s, frictions_n)
         if carried:
             push_n = max(0.0, push_n)
         return grip.balance_n + push_n
@@ -279,10 +279,11 @@ class ForceLaw:
             most_n_s2=_INERTIA_N * observer.stiffness_n_m / observer.mass_kg,
         )
 
-    def _starting_n(self, moment: Moment, error_n: float) -> float:
+    def _starting_n(
+        self, moment: Moment, error_n: float, frictions_n: tuple[float, float]
+    ) -> float:
         """Return the push in N on fingers at rest: 0, or one that starts them."""
         rate_n_s, sign = self.plan.rate_n_s, copysign(1.0, error_n)
-        frictions_n = self._frictions_n()
         *_, step_n = self._pushes.effect(self.observer, moment.dt_s, frictions_n[0])
         # A push that changes the force by more than twice the error makes the error larger.
         least_n = _HOLD_N if rate_n_s == 0.0 else QUIET_N
@@ -297,7 +298,12 @@ class ForceLaw:
         return self._pushes.push_n(self.observer, moment, frictions_n, sign)
 
     def _moving_n(
-        self, moment: Moment, sample: ForceSample, errors_n: tuple[float, float], speed_m_s: float
+        self,
+        moment: Moment,
+        sample: ForceSample,
+        errors_n: tuple[float, float],
+        speed_m_s: float,
+        frictions_n: tuple[float, float],
     ) -> float:
         """Return the push in N on moving fingers; ``speed_m_s`` is their next speed.
 
@@ -306,8 +312,7 @@ class ForceLaw:
         observer, plan, (error_n, left_n) = self.observer, self.plan, errors_n
         sign, mass_kg = copysign(1.0, observer.speed_m_s), observer.mass_kg
         stiffness = observer.stiffness_n_m
-        closing_n, opening_n = self._frictions_n()
-        friction_n = closing_n if sign > 0.0 else opening_n
+        friction_n = frictions_n[0] if sign > 0.0 else frictions_n[1]
         wanted_m_s = (plan.rate_n_s + error_n / _FORCE_S) / stiffness
         wanted_m_s = min(max(wanted_m_s, -self._most_m_s), self._most_m_s)
         # Growth of the force while only friction brakes the fingers.

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from itertools import pairwise
 from math import inf, nan
 
@@ -5,7 +6,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from gripper.errors import LimitExceeded
-from gripper.force.ramp import ForceRamp
+from gripper.force.ramp import ForceRamp, RampSegment
 
 FORCES = st.floats(0.0, 50.0).map(lambda force_n: round(force_n, 6))
 RATES = st.floats(0.1, 20.0)
@@ -63,6 +64,9 @@ def test_a_measured_force_beyond_the_end_is_lowered_and_the_hold_kept() -> None:
     assert (begun.setpoint_n(0.25), begun.duration_s) == pytest.approx((2.5, 1.5))
 
 
+SEGMENT = RampSegment(duration_s=1.0, start_n=0.0, end_n=1.0)
+
+
 @pytest.mark.parametrize(
     ("make", "says"),
     [
@@ -72,7 +76,10 @@ def test_a_measured_force_beyond_the_end_is_lowered_and_the_hold_kept() -> None:
         (lambda: ForceRamp.staircase((1.0, nan), 1.0, 0.1), r"levels_n\[1\]"),
         (lambda: ForceRamp.staircase((3.0, 1.0), 1.0, 0.1), "not both"),
         (lambda: ForceRamp.staircase((), 1.0, 0.1), "empty"),
-        (lambda: ForceRamp.linear(1.0, 1.0, start_n=-1.0), "start_n"),
+        (lambda: ForceRamp(segments=()), "at least one"),
+        (lambda: ForceRamp(segments=(SEGMENT, replace(SEGMENT, start_n=2.0))), "ends at"),
+        (lambda: ForceRamp(segments=(replace(SEGMENT, duration_s=0.0),)), "above 0"),
+        (lambda: ForceRamp(segments=(replace(SEGMENT, start_n=-1.0),)), "start_n"),
     ],
 )
 def test_ramps_that_jump_or_turn_round_cannot_exist(make, says) -> None:
