@@ -234,6 +234,8 @@ def measured_drive(path: Path, model: ServoModel) -> DriveCharacteristic:
     if content.get("model") != model.name:
         raise ConfigError(f"{path} is of a {content.get('model')}, this servo is a {model.name}")
     values: Mapping[str, Any] = content.get("values", {})
+    if not values:
+        raise ConfigError(f"{path} has no values: repeat `tactile-cell hand bench`, all its steps")
     drive = DriveCharacteristic.catalogue(model)
     changes: dict[str, float] = {}
     if (rising := values.get("rising_a_nm")) is not None:

@@ -5,6 +5,7 @@ the plugin grasps and identifies. Libraries for recognition, CAN and servos are 
 first cell, not with this module.
 """
 
+import os
 import sys
 import threading
 import time
@@ -177,6 +178,10 @@ class TactileCellPlugin:
         """What is taught; only the thread of the plugin changes it."""
         _check_save(save, model)
         self._file = tasks.ModelFile(self.model, None if save is None else Path(save))
+        if save is not None:
+            parent = next(parent for parent in Path(save).absolute().parents if parent.exists())
+            if not (parent.is_dir() and os.access(parent, os.W_OK)):
+                note(f"no teaching can be saved to {save} before {parent} is a writable folder")
         self.cell = build_cell(
             checked, folder=folder, mover=mover, places=places, ask=ask, note=note
         )

@@ -355,6 +355,7 @@ class Feedback:
         self._ticks = {servo_id: TickClock(servo_id) for servo_id in self._ids}
         self._heats = {servo.servo_id: WindingHeat(servo.servo_model) for servo in settings.servos}
         self._supplies = {servo.servo_id: Supply() for servo in settings.servos}
+        self._temperatures_c: dict[int, float] = {}
         self._moves = {servo.servo_id: ServoMotion(servo.servo_model) for servo in settings.servos}
         self.check = FeedbackCheck(mechanics)
         """Comparison with possible motion."""
@@ -424,6 +425,10 @@ class Feedback:
         current_a, motor_a = winding_a(model, present_a, pwm_share, supply_v, speed_rad_s)
         motor, heat = self.check.motors[servo.servo_id], self._heats[servo.servo_id]
         heat.add(now_s, current_a)
+        # One wrong reading must not end a grasp: two in a row count.
+        temperature_c = float(raw[ct.PRESENT_TEMPERATURE.name])
+        before_c = self._temperatures_c.get(servo.servo_id, temperature_c)
+        self._temperatures_c[servo.servo_id] = temperature_c
         return ServoState(
             servo_id=servo.servo_id,
             angle_rad=angle_rad,
@@ -434,7 +439,7 @@ class Feedback:
             pwm_share=pwm_share,
             motor_rad_s=motor.least_rad_s(pwm_share * supply_v, motor_a),
             position_raw=position_raw,
-            temperature_c=float(raw[ct.PRESENT_TEMPERATURE.name]),
+            temperature_c=min(temperature_c, before_c),
             voltage_v=voltage_v,
             supply_v=supply_v,
             tick_ms=tick_ms,

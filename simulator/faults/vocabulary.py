@@ -93,8 +93,8 @@ class Fault:
 
 
 def _control_unit(fault: Fault) -> Any:
-    if isinstance(fault.devices.settings.boards, UskinSettings):
-        raise SimulatorSettingsError("this cell has sensor boards on CAN, no control unit")
+    if fault.devices.settings.boards is not None:
+        raise SimulatorSettingsError("this cell has sensor boards, no control unit")
     return fault.devices.faults.unit
 
 

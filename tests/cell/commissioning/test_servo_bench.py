@@ -13,6 +13,7 @@ from cell.commissioning.engine import StepFailed, WizardAborted
 from cell.commissioning.servo_bench import STEPS, Rig, findings, open_rig, run_bench
 from cell.config.gripper import measured_drive
 from cell.errors import CellError, ConfigError
+from cell.files import SERVO_BENCH, write_json
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import MODELS, XL330_M288, XM430_W350
@@ -260,4 +261,7 @@ def test_the_config_takes_the_result_of_the_same_model_alone(tmp_path: Path) -> 
         measured_drive(tmp_path / "none.json", XM430_W350)
     result.write_text(result.read_text().replace("rising_a_nm", "rising_a_nn"))
     with pytest.raises(ConfigError, match="damaged"):
+        measured_drive(result, XM430_W350)
+    write_json(result, SERVO_BENCH, {"model": "XM430-W350", "values": {}}, error=ConfigError)
+    with pytest.raises(ConfigError, match="has no values: repeat"):
         measured_drive(result, XM430_W350)

@@ -155,7 +155,8 @@ def test_wrong_registers_are_shown_set_and_read_back(stand, name, values, wanted
 
 
 def test_a_later_run_keeps_the_bench_of_the_same_servo_and_a_smaller_opening(tmp_path) -> None:
-    write_json(file := tmp_path / "1.json", SERVO_BENCH, {"model": "XM430-W350"}, error=CellError)
+    result = {"model": "XM430-W350", "values": {"rising_a_nm": 0.6}}
+    write_json(file := tmp_path / "1.json", SERVO_BENCH, result, error=CellError)
     servos = [{"id": number, "measured": str(file)} for number in (1, 3)]
     edited = {"gripper.servos": servos, "gripper.aperture_open_mm": 12.0}
     bench = Bench(tmp_path, base=changed_config(CellConfig(), edited))

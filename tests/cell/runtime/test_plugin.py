@@ -383,8 +383,9 @@ def test_a_teaching_that_cannot_be_saved_says_so_and_is_tried_again_and_at_the_e
 ) -> None:
     where = tmp_path / "folder"
     where.write_text("a file where a folder should be")
-    path = where / "model.npz"
-    plugin = make_plugin(model=taught.result.model, save=path)
+    path, notes = where / "model.npz", list[str]()
+    plugin = make_plugin(model=taught.result.model, save=path, note=notes.append)
+    assert f"no teaching can be saved to {path} before {where} is a writable folder" in notes
     with pytest.raises(JobFailed, match="ball is taught and in use, but not saved: cannot ") as bad:
         done(plugin, TeachGoal(label="ball", grasps=1))
     assert (bad.value.fault_number, plugin.status().state) == (502, "IDLE")

@@ -24,8 +24,14 @@ from tactile.layout import pinch_layout
 def cell() -> Iterator[SimulatedCell]:
     drive = DriveMount(node_id=11, increments=1e6, start=0.0, low_switch=-0.1, high_switch=0.1)
     axes = {"x": drive, "roll": WristMount(increments=652.0, servo_id=1, zero=0, start=1.0)}
+    with SimulatedCell(SimulatorSettings(layout=pinch_layout(), axes=axes)) as made:
+        yield made
+
+
+@pytest.fixture
+def board_cell() -> Iterator[SimulatedCell]:
     boards = FlexiTacSettings(rows=6, columns=13)
-    with SimulatedCell(SimulatorSettings(layout=pinch_layout(), axes=axes, boards=boards)) as made:
+    with SimulatedCell(SimulatorSettings(layout=pinch_layout(), boards=boards)) as made:
         yield made
 
 
@@ -102,8 +108,9 @@ def test_any_text_is_a_fault_or_refused(text) -> None:
     "name", [*VOCABULARY, "axis2.following_error", "axis2.silence", "axis2.fault", "axis2.reboot"]
 )
 def test_every_fault_is_injected_and_leaves_no_trace_once_cleared(request, name) -> None:
-    on_can = name.startswith("uskin.")
-    cell: SimulatedCell = request.getfixturevalue("uskin_cell" if on_can else "cell")
+    owner = name.partition(".")[0]
+    fixture = f"{owner}_cell" if owner in {"board", "uskin"} else "cell"
+    cell: SimulatedCell = request.getfixturevalue(fixture)
     cell.place("ball")
     cell.clock.sleep(0.1)
     before = _knobs(cell)
@@ -152,11 +159,13 @@ def _knobs(cell: SimulatedCell) -> Any:
     return wires, serial, servos, stuck, press, axes, devices.world.force_gain
 
 
-def test_the_kinds_are_those_that_fit_the_cell(cell, uskin_cell) -> None:
+def test_the_kinds_are_those_that_fit_the_cell(cell, board_cell, uskin_cell) -> None:
     kinds = set(cell.injector.kinds())
     assert {"can.off", "servo1.off", "servo2.off", "axis1.limit_switch", "axis2.fault"} <= kinds
     assert not kinds & {"servo3.off", "axis2.limit_switch", "axis3.fault", "servoN.off"}
-    kinds |= set(uskin_cell.injector.kinds())
+    board_kinds = set(board_cell.injector.kinds())
+    assert board_kinds & {"board.off", "unit.off"} == {"board.off"}
+    kinds |= board_kinds | set(uskin_cell.injector.kinds())
     assert {name.replace("axis1", "axisN").replace("servo1", "servoN") for name in kinds} >= set(
         VOCABULARY
     )

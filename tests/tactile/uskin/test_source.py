@@ -180,7 +180,7 @@ def test_the_boards_hear_nothing_but_their_start(cell: SimulatedCell) -> None:
     assert cell.can_bus.recv_all(100) == []
     for fault, why in (
         ("board.off", "no sensor boards on serial lines"),
-        ("unit.pre_operational", "sensor boards on CAN, no control unit"),
+        ("unit.pre_operational", "sensor boards, no control unit"),
     ):
         with pytest.raises(SimulatorSettingsError, match=why):
             cell.inject(fault)

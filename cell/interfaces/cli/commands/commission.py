@@ -50,13 +50,13 @@ class TerminalDialog(Dialog):
 
     def start_step(self, step: Step, number: int, count: int) -> None:
         """Print the step that begins."""
-        self._end_line()
+        self.end_line()
         out.print(f"\n[bold]{number}/{count} {plain_text(step.title)}[/]")
         print_line(step.purpose)
 
     def show(self, step: Step, notes: Notes) -> None:
         """Print the findings of a step."""
-        self._end_line()
+        self.end_line()
         verdict = notes.status
         out.print(f"[{_COLOURS[verdict]}]{verdict.value}[/] {plain_text(step.title)}")
         for line in notes.lines:
@@ -64,7 +64,7 @@ class TerminalDialog(Dialog):
 
     def say(self, text: str) -> None:
         """Print a text."""
-        self._end_line()
+        self.end_line()
         print_line(text)
 
     def live(self, name: str, value_text: str) -> None:
@@ -112,7 +112,7 @@ class TerminalDialog(Dialog):
 
     def ask_consent(self, writes: Sequence[ProposedChange]) -> None:
         """Print a batch of writes and ask once for approval."""
-        self._end_line()
+        self.end_line()
         for write in writes:
             print_line(f"  {write.where}: {write.what}: {write.before} -> {write.after}")
         for undo in dict.fromkeys(write.undo for write in writes):
@@ -149,7 +149,8 @@ class TerminalDialog(Dialog):
             leave("on request")
         return typed
 
-    def _end_line(self) -> None:
+    def end_line(self) -> None:
+        """End the line of a live value."""
         if self._running:
             out.file.write("\n")
             self._running = False
@@ -262,6 +263,7 @@ def commission(
                 engine.redo(*keys)
             files = engine.run(dialog)
     except KeyboardInterrupt:
+        dialog.end_line()
         print_note(f"left. {RESUME}")
         raise typer.Exit(1) from None
     except WizardAborted as left:
@@ -286,6 +288,7 @@ def bench(
         with as_interrupts(), open_rig(Bench(folder), port, dialog) as rig:
             files = run_bench(rig, dialog, folder)
     except (KeyboardInterrupt, WizardAborted):
+        dialog.end_line()
         kept = f"; measured values: in {folder}" if folder.exists() else ""
         print_note(f"left: cut the supply if the arm still presses{kept}")
         raise typer.Exit(1) from None
