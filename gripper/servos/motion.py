@@ -12,6 +12,7 @@ from math import sqrt
 import numpy as np
 
 from gripper.dynamixel.control_table import TICK_MODULO
+from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import ServoModel
 
 _WINDOWS_MS = (80, 40, 20)
@@ -47,12 +48,15 @@ class ServoMotion:
     change by ``dv`` rad/s shortens the line once it has moved the servo by 1.5 counts from where
     the earlier positions lead: after 2.3e-3 / ``dv`` s. The shortest line is 10 ms late. Below 200
     Hz it has too few positions. There a parabola shows the speed at the next reading while the
-    longest line does not hold, with a noise of 0.13 rad/s.
+    longest line does not hold, with a noise of 0.13 rad/s. A leap that the stall current cannot
+    make is no speed; where a second one follows, the servo was stopped.
     """
 
     def __init__(self, model: ServoModel) -> None:
         self._unsure_rad = still_rad(model)
-        self._tick_ms = 0
+        catalogue = DriveCharacteristic.catalogue(model)
+        self._most_rad_ms2 = 1e-6 * model.stall_current_a / catalogue.inertia_a_s2(model)
+        self._tick_ms, self._leapt = 0, False
         self._positions: deque[tuple[int, float]] = deque()
         self.next_rad_s = 0.0
         """Speed in rad/s, below 200 Hz at the next reading if the acceleration lasts."""
@@ -77,6 +81,16 @@ class ServoMotion:
         now_ms = positions[-1][0] + passed_ms
         if passed_ms == 0:
             positions.pop()
+        if len(positions) > 1:
+            (before_ms, before_rad), (last_ms, last_rad) = positions[-2], positions[-1]
+            ahead_ms = now_ms - last_ms
+            leap_rad = angle_rad - last_rad
+            leap_rad -= (last_rad - before_rad) * ahead_ms / (last_ms - before_ms)
+            leaps = abs(leap_rad) > 2.0 * self._unsure_rad + self._most_rad_ms2 * ahead_ms**2
+            if leaps and not self._leapt:
+                for index, (t_ms, rad) in enumerate(positions):
+                    positions[index] = t_ms, rad + leap_rad
+            self._leapt = leaps
         positions.append((now_ms, angle_rad))
         while now_ms - positions[0][0] > _WINDOWS_MS[0]:
             positions.popleft()

@@ -21,9 +21,9 @@ trust the force of each count.
 Where friction locks the mass, v is 0 and nothing is learnt of d (Karnopp 1985, stick and slip).
 
 A measurement may be wrong for some readings. A current that does not follow its goal makes v
-uncertain. A position that leaps while friction locks the mass is no way (Bar-Shalom, Li and
-Kirubarajan 2001, validation gate): it makes F uncertain, and the next samples show the force. In
-motion a leap may be an error of the model, so it is a way.
+uncertain. A position that leaps farther than drive and force can move the mass is no way
+(Bar-Shalom, Li and Kirubarajan 2001, validation gate): it makes F uncertain, and the next samples
+show the force.
 """
 
 from math import inf, log, sqrt
@@ -85,6 +85,7 @@ class GripObserver:
         self._forces.add(now_s, self.force_n)
         self._ways_m.add(now_s, 0.0)
         self._sample_s, self._period_s, self._leapt_s = now_s, now_s, -inf
+        self._unsure_m = 0.0
 
     @property
     def force_sd_n(self) -> float:
@@ -146,6 +147,9 @@ class GripObserver:
         ``frictions_n``: as `speed_after_m_s`.
         """
         stiffness, before_m_s = self.stiffness_n_m, self.speed_m_s
+        # The model of a moving mass may be wrong by as much as drive and force move it.
+        moves_n = abs(drive_n) + self.force_n if before_m_s != 0.0 else 0.0
+        self._unsure_m = moves_n / self.mass_kg * dt_s**2
         if self._breaks:
             self._breaks, before_m_s = False, 0.0
         else:
@@ -170,7 +174,8 @@ class GripObserver:
     def measure(self, moment: Moment, sample: ForceSample | None) -> None:
         """Use the present position, and the newest sample where it is new."""
         error_m = 0.5 * (self._start_m - moment.state.aperture_m) - self._way_m
-        if self.speed_m_s == 0.0 and error_m**2 > SURE_SDS**2 * (self._p[3, 3] + self._way_m2):
+        way_sd_m = sqrt(self._p[3, 3] + self._way_m2) + self._unsure_m
+        if abs(error_m) > SURE_SDS * way_sd_m:
             self._start_m -= 2.0 * error_m
             self.resume(self.stiffness_n_m * error_m)
             error_m, self._leapt_s = 0.0, moment.now_s

@@ -157,11 +157,14 @@ def test_the_same_sample_corrects_only_once() -> None:
     assert 1.0 < once_n == pytest.approx(observer.force_n, abs=1e-3)
 
 
-def test_a_position_that_leaps_is_no_way_and_makes_the_force_uncertain() -> None:
+@pytest.mark.parametrize(("speed_m_s", "closed_m"), [(0.0, 0.6e-3), (0.01, 2e-3)])
+def test_a_position_that_leaps_is_no_way_and_makes_the_force_uncertain(speed_m_s, closed_m) -> None:
     observer = GripObserver(make_grip(2.0), 0.0)
+    observer.break_loose(speed_m_s)
     observer.predict(PERIOD_S, 2.0, 0.0, (3.0, 3.0))
-    observer.measure(make_moment(PERIOD_S, closed_m=0.6e-3), None)
-    assert observer.force_n == 2.0
+    predicted_n = observer.force_n
+    observer.measure(make_moment(PERIOD_S, closed_m=closed_m), None)
+    assert observer.force_n == predicted_n
     assert observer.force_sd_n > 1.0
 
 
