@@ -7,6 +7,7 @@ current show the speed w without the encoder.
 
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from math import copysign, hypot, inf, pi
 from typing import NamedTuple
 
@@ -219,13 +220,8 @@ class FeedbackCheck:
         """
         for index, servo in enumerate(servos):
             self._check_current(index, servo, loaded=loaded)
-            last = self._last.get(servo.servo_id)
-            self._last[servo.servo_id] = (now_s, servo.angle_rad)
             self._check_turn(servo)
-            if last is None:
-                self._check_link(servo)
-                continue
-            last_s, last_rad = last
+            last_s, last_rad = self._last.get(servo.servo_id, (-inf, servo.angle_rad))
             model = self._settings.servos[index].servo_model
             passed_s = now_s - last_s
             farthest_rad = _SPEED_RESERVE * model.no_load_rad_s * passed_s + _LEAP_RAD
@@ -238,6 +234,9 @@ class FeedbackCheck:
                     f"{_ADVICE}"
                 )
             self._check_link(servo)
+            self._last[servo.servo_id] = (now_s, servo.angle_rad)
+            if last_s == -inf:
+                continue
             motor = self.motors[servo.servo_id]
             if self.letting_go and loaded:
                 motor.pause()
@@ -292,10 +291,10 @@ class FeedbackCheck:
             self._inside.discard(index)
         if index not in self._inside or low_rad <= servo.angle_rad <= high_rad:
             return
-        self._inside.discard(index)  # it is reported once: a grip that is kept is still controlled
         stands = f"its finger stands at {servo.angle_rad:.3f} rad"
         can = f"it can be from {low_rad:.3f} to {high_rad:.3f} rad"
         if loaded:
+            self._inside.discard(index)  # reported once: a grip that is kept is still controlled
             raise PositionContradicted(
                 f"servo {servo.servo_id}: {stands}, {can}, but the pads are loaded: something "
                 f"pushes it, or its encoder drifts. {_GRIP_STAYS}"
@@ -361,11 +360,12 @@ class Feedback:
         """Comparison with possible motion."""
 
     def read(self, *, under_torque: bool, loaded: bool) -> ServoFeedback:
-        """Read the feedback of all servos in one transaction.
+        """Read the feedback of all servos; a second time where an answer is impossible.
 
-        Raises BusTimeout or BusCorrupt when an answer is missing, damaged or older than the
-        request. Raises ServoFault when a servo has restarted under torque. Raises
-        FeedbackImplausible or PositionContradicted as `FeedbackCheck.check`.
+        One wrong answer must not let a part drop. Raises BusTimeout or BusCorrupt when an answer is
+        missing, damaged or older than the request. Raises ServoFault when a servo has restarted
+        under torque. Raises FeedbackImplausible, PositionContradicted or GripContradicted as
+        `FeedbackCheck.check`.
 
         Parameters
         ----------
@@ -374,6 +374,16 @@ class Feedback:
         loaded
             Whether the pads may hold a part.
         """
+        strayed = dict(self.check.strayed)
+        with suppress(FeedbackImplausible, GripContradicted):
+            state = self._read(under_torque=under_torque, loaded=loaded)
+            if not any(motion.leapt_rad for motion in self._moves.values()):
+                return state
+        self.check.strayed = strayed
+        return self._read(under_torque=under_torque, loaded=loaded)
+
+    def _read(self, *, under_torque: bool, loaded: bool) -> ServoFeedback:
+        """Read the feedback of all servos in one transaction; arguments and errors as `read`."""
         sent_s = self._clock.monotonic()
         raws = self._bus.sync_read(self._ids, ct.PRESENT_BLOCK)
         now_s = self._clock.monotonic()

@@ -431,6 +431,8 @@ class Servos:
         """End the acceptance of errors of servos, and of positions that a part let go explains."""
         self._accepted = {}
         self.feedback.check.letting_go = False
+        for motor in self.feedback.check.motors.values():
+            motor.pause()  # its limit is smaller again
 
     def _required(self, servo: ServoSettings) -> tuple[Requirement, ...]:
         settings = self.settings

@@ -49,15 +49,17 @@ class ServoMotion:
     the earlier positions lead: after 2.3e-3 / ``dv`` s. The shortest line is 10 ms late. Below 200
     Hz it has too few positions. There a parabola shows the speed at the next reading while the
     longest line does not hold, with a noise of 0.13 rad/s. A leap that the stall current cannot
-    make is no speed; where a second one follows, the servo was stopped.
+    make is no speed; where another one follows on the same side, the servo was stopped.
     """
 
     def __init__(self, model: ServoModel) -> None:
         self._unsure_rad = still_rad(model)
         catalogue = DriveCharacteristic.catalogue(model)
         self._most_rad_ms2 = 1e-6 * model.stall_current_a / catalogue.inertia_a_s2(model)
-        self._tick_ms, self._leapt = 0, False
+        self._tick_ms = 0
         self._positions: deque[tuple[int, float]] = deque()
+        self.leapt_rad = 0.0
+        """Leap of the newest position in rad that the stall current cannot make; else 0."""
         self.next_rad_s = 0.0
         """Speed in rad/s, below 200 Hz at the next reading if the acceleration lasts."""
 
@@ -86,11 +88,13 @@ class ServoMotion:
             ahead_ms = now_ms - last_ms
             leap_rad = angle_rad - last_rad
             leap_rad -= (last_rad - before_rad) * ahead_ms / (last_ms - before_ms)
-            leaps = abs(leap_rad) > 2.0 * self._unsure_rad + self._most_rad_ms2 * ahead_ms**2
-            if leaps and not self._leapt:
+            possible_rad = 2.0 * self._unsure_rad + self._most_rad_ms2 * ahead_ms**2
+            before_rad, self.leapt_rad = self.leapt_rad, leap_rad
+            if abs(leap_rad) <= possible_rad:
+                self.leapt_rad = 0.0
+            elif leap_rad * before_rad <= 0.0:
                 for index, (t_ms, rad) in enumerate(positions):
                     positions[index] = t_ms, rad + leap_rad
-            self._leapt = leaps
         positions.append((now_ms, angle_rad))
         while now_ms - positions[0][0] > _WINDOWS_MS[0]:
             positions.popleft()

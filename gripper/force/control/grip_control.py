@@ -245,7 +245,8 @@ class GripControl:
         if sample is not None:
             self.watch.pads.take(sample)
             self.watch.check_pads(moment, rises=rises_n > 0.0)
-            if self.watch.force_falls():
+            # Fingers are pressed evenly: the mean of uneven pads is no force.
+            if self.watch.force_falls() or self.watch.uneven:
                 sample = None
         # After a stall the estimates do not have what the last goals have done meanwhile.
         if moment.stalled:

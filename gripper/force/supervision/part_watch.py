@@ -231,6 +231,11 @@ class PartWatch:
         """Whether the samples must not be used for control: they show a part as gone."""
         return self._suspicion is not None and self._suspicion.acts_s < inf
 
+    @property
+    def uneven(self) -> bool:
+        """Whether the pads differ by more than the imbalance that is allowed."""
+        return self._uneven_s > 0.0
+
     def resume(self) -> None:
         """Begin again after a pause: earlier values are discarded.
 

@@ -113,7 +113,7 @@ def test_a_steady_motion_out_of_the_range_keeps_what_the_pads_hold(loaded: bool)
     with pytest.raises(kind, match=r"finger stands at -0\.08\d rad, it can be from -0\.080"):
         [check.check(both, n * PERIOD_S, loaded=loaded) for n, both in enumerate(servos)]
     assert bool(check.strayed) != loaded
-    for n in range(30):  # it is reported once
+    for n in range(30 * loaded):  # it is reported once, and the grip is kept
         check.check((replace(still, angle_rad=-0.083),), 4.0 + n * PERIOD_S, loaded=loaded)
 
 
@@ -147,6 +147,27 @@ def test_a_leap_in_a_pause_is_found_before_the_next_goal(cell) -> None:
         cell.gripper.release()
     assert cell.register(0, "goal_position") == goal_raw
     assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
+
+
+@pytest.mark.parametrize(
+    ("register", "bit"),
+    [("present_position", bit) for bit in (5, 6, 11, 15)] + [("present_current", 11)],
+)
+def test_one_wrong_answer_changes_no_force(cell, monkeypatch, register: str, bit: int) -> None:
+    cell.hold_part(RAMP)
+    read, due_s, wrong = cell.bus.sync_read, cell.clock.monotonic() + 0.1, list[int]()
+
+    def lie(ids, block) -> dict[int, dict[str, int]]:
+        raws = read(ids, block)
+        if not wrong and cell.clock.monotonic() >= due_s:
+            raws[1][register] ^= 1 << bit
+            wrong.append(raws[1][register])
+        return raws
+
+    monkeypatch.setattr(cell.bus, "sync_read", lie)
+    cell.least_n = cell.peak_n = cell.force_n
+    cell.gripper.hold(0.5)
+    assert wrong and cell.least_n == pytest.approx(cell.peak_n, abs=0.2)
 
 
 def test_no_contradiction_of_a_position_ends_a_release(cell) -> None:
