@@ -167,7 +167,8 @@ def test_one_wrong_answer_changes_no_force(cell, monkeypatch, register: str, bit
     monkeypatch.setattr(cell.bus, "sync_read", lie)
     cell.least_n = cell.peak_n = cell.force_n
     cell.gripper.hold(0.5)
-    assert wrong and cell.least_n == pytest.approx(cell.peak_n, abs=0.2)
+    assert wrong
+    assert cell.least_n == pytest.approx(cell.peak_n, abs=0.2)
 
 
 def test_no_contradiction_of_a_position_ends_a_release(cell) -> None:
