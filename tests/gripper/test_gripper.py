@@ -10,6 +10,7 @@ from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, GroupSyncRead
 
 from gripper import ForceSample, Gripper, RackPinion, open_gripper
 from gripper.dynamixel.control_table import TORQUE_ENABLE
+from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.protocol2 import CheckedPacketHandler
 from gripper.dynamixel.serial_port import SdkPort, open_line
 from gripper.errors import (
@@ -304,6 +305,7 @@ def test_ticks_feed_the_watchdog_and_without_a_part_the_next_command_restarts_it
 
 
 SERVO = ServoSettings(servo_id=1)
+DRIVE = DriveCharacteristic.catalogue(SERVO.servo_model)
 
 
 @pytest.mark.parametrize(
@@ -324,6 +326,11 @@ SERVO = ServoSettings(servo_id=1)
         (SERVO, {"model": "servo"}, "'servo' is not known: use one of XM430-W350, "),
         (SERVO, {"direction": 0}, "direction"),
         (SERVO, {"servo_id": 253}, "servo_id"),
+        (DRIVE, {"coulomb_a": 0.0}, "coulomb_a is 0.0, must be above 0"),
+        (DRIVE, {"friction_sd": -0.1}, "friction_sd"),
+        (DRIVE, {"load_sd": -0.1}, "load_sd"),
+        (DRIVE, {"viscous_a_s": float("nan")}, "viscous_a_s is nan, must be finite"),
+        (DRIVE, {"temperature_c": float("inf")}, "temperature_c"),
         (SERVO, {"zero_raw": 4096}, "zero_raw"),
     ],
 )
