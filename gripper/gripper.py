@@ -93,7 +93,7 @@ class Gripper:
         self._runner = runner = LoopRunner(servos, force_sensor, clock, life)
         self._free = FreeMotion(runner)
         self._grasping = GraspRun(runner, life.set_phase, self._free)
-        self._link_checked = self._watchdog_proven = False
+        self._link_checked = False
         self._carried: Running | None = None
         self._finger: Gripper | None = None
 
@@ -248,7 +248,7 @@ class Gripper:
             )
         with self._command("open", observer) as was_limp:
             state = self._move_to(target_m, first=was_limp)
-            if self.settings.watchdog_self_test and not self._watchdog_proven:
+            if self.settings.watchdog_self_test and not self._servos.watchdog_proven:
                 state = self._prove_watchdog(target_m)
         return state
 
@@ -258,7 +258,7 @@ class Gripper:
         self._life.part_possible = True
         try:
             prove_watchdog(self._servos, self._clock)
-            self._watchdog_proven = True
+            self._servos.watchdog_proven = True
             state = self._move_to(target_m)
         except errors.WatchdogUnproven:
             self._life.part_possible = False
@@ -619,7 +619,7 @@ class Gripper:
     ) -> GraspOutcome:
         """Close and follow a ramp as `grasp`, and keep what is held."""
         self._life.check_ready("grasp")
-        if self.settings.watchdog_self_test and not self._watchdog_proven:
+        if self.settings.watchdog_self_test and not self._servos.watchdog_proven:
             raise errors.GripperStateError(
                 "grasp needs the self-test of the bus watchdog first (watchdog_self_test is on): "
                 "open the gripper, the test follows"
