@@ -47,8 +47,11 @@ _HELD = frozenset({GripperPhase.HOLDING})
 COMMANDS: Mapping[str, Command] = {
     "start": Command(frozenset(), GripperPhase.OFF),
     "open": Command(_EMPTY, GripperPhase.OPENING),
+    "measure_friction": Command(_EMPTY, GripperPhase.OPENING),
     "grasp": Command(_EMPTY, GripperPhase.APPROACHING),
+    "press_pads_together": Command(_EMPTY, GripperPhase.APPROACHING),
     "hold": Command(_HELD, GripperPhase.HOLDING),
+    "measure_load": Command(_HELD, GripperPhase.HOLDING),
     "hold_at": Command(_HELD, GripperPhase.BACKING_OFF),
     "squeeze": Command(_HELD, GripperPhase.RAMPING),
     "release": Command(frozenset(), GripperPhase.RELEASING),

@@ -254,6 +254,8 @@ def test_the_largest_ramp_is_the_last_one_that_is_allowed(make_cell, current_max
 def test_commands_out_of_turn_are_refused(started) -> None:
     with pytest.raises(GripperStateError, match="hold is not possible in the state OFF"):
         started.gripper.hold(1.0)
+    with pytest.raises(GripperStateError, match="measure_load is not possible in the state OFF"):
+        started.gripper.measure_load()
 
     def reenter(_: Cycle) -> None:
         with pytest.raises(GripperStateError, match="another command runs"):
@@ -264,8 +266,15 @@ def test_commands_out_of_turn_are_refused(started) -> None:
     started.gripper.request_stop()  # An old request ends no new command.
     started.gripper.open(observer=reenter)
     started.gripper.grasp(RAMP)
-    with pytest.raises(GripperStateError, match="release the part first"):
-        started.gripper.open()
+    gripper = started.gripper
+    for command, *given in (
+        (gripper.open,),
+        (gripper.measure_friction,),
+        (gripper.grasp, RAMP),
+        (gripper.press_pads_together, RAMP),
+    ):
+        with pytest.raises(GripperStateError, match=f"{command.__name__} .*release the part first"):
+            command(*given)
     with pytest.raises(LimitExceeded, match="duration_s"):
         started.gripper.hold(0.0)
     with pytest.raises(LimitExceeded, match="duration_s is nan"):
