@@ -93,7 +93,7 @@ class Gripper:
         self._runner = runner = LoopRunner(servos, force_sensor, clock, life)
         self._free = FreeMotion(runner)
         self._grasping = GraspRun(runner, life.set_phase, self._free)
-        self._link_checked = self._watchdog_proven = False
+        self._link_checked = False
         self._carried: Running | None = None
         self._finger: Gripper | None = None
 
@@ -248,7 +248,7 @@ class Gripper:
             )
         with self._command("open", observer) as was_limp:
             state = self._move_to(target_m, first=was_limp)
-            if self.settings.watchdog_self_test and not self._watchdog_proven:
+            if self.settings.watchdog_self_test and not self._servos.watchdog_proven:
                 state = self._prove_watchdog(target_m)
         return state
 
@@ -258,7 +258,7 @@ class Gripper:
         self._life.part_possible = True
         try:
             prove_watchdog(self._servos, self._clock)
-            self._watchdog_proven = True
+            self._servos.watchdog_proven = True
             state = self._move_to(target_m)
         except errors.WatchdogUnproven:
             self._life.part_possible = False
@@ -283,7 +283,7 @@ class Gripper:
         ForceSensorStale, GraspStopped, ServoFault, BusTimeout, BusCorrupt
             With the grip kept.
         """
-        return self._close(self._grasping.run, ramp, observer)
+        return self._close("grasp", self._grasping.run, ramp, observer)
 
     def press_pads_together(
         self, ramp: ForceRamp, observer: Observer | None = None
@@ -303,7 +303,8 @@ class Gripper:
         LimitExceeded, ForceSensorStale, GraspStopped, ServoFault, BusTimeout, BusCorrupt
             As `grasp`.
         """
-        return self._close(self._grasping.press_pads_together, ramp, observer)
+        press = self._grasping.press_pads_together
+        return self._close("press_pads_together", press, ramp, observer)
 
     def hold(self, duration_s: float, observer: Observer | None = None) -> ServoFeedback:
         """Control the force at its last set-point for a time in s.
@@ -416,8 +417,8 @@ class Gripper:
         As `Gripper.hold`.
         """
         settings, mechanics = self.settings, self.mechanics
-        control = self._held_control("hold")
-        with self._command("hold", observer):
+        control = self._held_control("measure_load")
+        with self._command("measure_load", observer):
             low_n = _LOW_CONTACTS * settings.contact_force_n
             state = self._servos.read_patiently()
             paths = mechanics.transmissions(state.angles_rad)
@@ -451,8 +452,8 @@ class Gripper:
         settings, linkage = self.settings, self._linkage
         wide_m = settings.aperture_open_m
         near_m = max(settings.aperture_min_m, 0.0) + _CLEAR_M
-        self._life.check_ready("open")
-        with self._command("open", observer):
+        self._life.check_ready("measure_friction")
+        with self._command("measure_friction", observer):
             for speed_rad_s in _FREE_RAD_S:
                 for closes in (True, False):
                     state = self._servos.read_patiently()
@@ -615,17 +616,21 @@ class Gripper:
                 self._servos.disarm_watchdog()
 
     def _close(
-        self, run: Callable[[ForceRamp], GraspOutcome], ramp: ForceRamp, observer: Observer | None
+        self,
+        command: str,
+        run: Callable[[ForceRamp], GraspOutcome],
+        ramp: ForceRamp,
+        observer: Observer | None,
     ) -> GraspOutcome:
         """Close and follow a ramp as `grasp`, and keep what is held."""
-        self._life.check_ready("grasp")
-        if self.settings.watchdog_self_test and not self._watchdog_proven:
+        self._life.check_ready(command)
+        if self.settings.watchdog_self_test and not self._servos.watchdog_proven:
             raise errors.GripperStateError(
-                "grasp needs the self-test of the bus watchdog first (watchdog_self_test is on): "
-                "open the gripper, the test follows"
+                f"{command} needs the self-test of the bus watchdog first (watchdog_self_test is "
+                f"on): open the gripper, the test follows"
             )
         self.check_ramp(ramp)
-        with self._command("grasp", observer):
+        with self._command(command, observer):
             self._life.part_possible = True
             try:
                 outcome = run(ramp)

@@ -37,7 +37,7 @@ class Command(NamedTuple):
     """Transition of a command."""
 
     phases: frozenset[GripperPhase]
-    """Phases in which it is possible; empty: all."""
+    """Phases in which it is possible."""
     running: GripperPhase
     """Phase while it runs."""
 
@@ -45,15 +45,17 @@ class Command(NamedTuple):
 _EMPTY = frozenset({GripperPhase.OFF, GripperPhase.IDLE})
 _HELD = frozenset({GripperPhase.HOLDING})
 COMMANDS: Mapping[str, Command] = {
-    "start": Command(frozenset(), GripperPhase.OFF),
     "open": Command(_EMPTY, GripperPhase.OPENING),
+    "measure_friction": Command(_EMPTY, GripperPhase.OPENING),
     "grasp": Command(_EMPTY, GripperPhase.APPROACHING),
+    "press_pads_together": Command(_EMPTY, GripperPhase.APPROACHING),
     "hold": Command(_HELD, GripperPhase.HOLDING),
+    "measure_load": Command(_HELD, GripperPhase.HOLDING),
     "hold_at": Command(_HELD, GripperPhase.BACKING_OFF),
     "squeeze": Command(_HELD, GripperPhase.RAMPING),
-    "release": Command(frozenset(), GripperPhase.RELEASING),
+    "release": Command(frozenset(GripperPhase), GripperPhase.RELEASING),
 }
-"""Commands by name. Each one ends in the phase of `Lifecycle.rest`."""
+"""Commands with a phase, by name. Each one ends in the phase of `Lifecycle.rest`."""
 
 
 class FingersLeft(StrEnum):
@@ -147,8 +149,7 @@ class Lifecycle:
                 f"{command} is not possible while a fault is latched ({self.fault}): call "
                 f"clear_fault first"
             )
-        phases = COMMANDS[command].phases
-        if phases and self.phase not in phases:
+        if command in COMMANDS and self.phase not in COMMANDS[command].phases:
             hint = ": release the part first" if self.part_possible else ""
             raise errors.GripperStateError(
                 f"{command} is not possible in the state {self.phase.name}{hint}"

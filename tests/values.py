@@ -70,7 +70,6 @@ def make_cycle(t_s: float = 1.0, **changes: Any) -> Cycle:
         force=ForceSample(t_s=t_s - 0.004, force_n=(3.9, 4.1)),
         setpoint_n=4.0,
         goal_current_a=0.41,
-        level=1,
     )
     return replace(cycle, **changes)
 

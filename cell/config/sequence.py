@@ -29,19 +29,16 @@ Turn = Annotated[Range, _within(-360.0, 360.0)]
 
 
 class RampConfig(Section):
-    """The force grows in a straight line to its end, or in equal steps; each level is held."""
+    """The force grows in a straight line to its end, which is held."""
 
-    levels: int = Field(default=1, ge=1, le=20)
-    """Number of equal steps up to the final force, 1 to 20."""
     rate_n_s: float = Field(default=20.0, ge=0.1, le=50.0)
     """Growth of the force in N/s, 0.1 to 50."""
     hold_s: float = Field(default=0.1, ge=0.0, le=60.0)
-    """Time at each level in s, up to 60."""
+    """Time at the end in s, up to 60."""
 
     def to(self, force_n: float) -> ForceRamp:
         """Return the ramp that ends at ``force_n`` N."""
-        levels_n = [force_n * (index + 1) / self.levels for index in range(self.levels)]
-        return ForceRamp.staircase(levels_n, rate_n_s=self.rate_n_s, hold_s=self.hold_s)
+        return ForceRamp.linear(force_n, self.rate_n_s, self.hold_s)
 
 
 class ListedPoseConfig(Section):

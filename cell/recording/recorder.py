@@ -175,7 +175,6 @@ class Recorder:
         )
         values = {
             "phase": cycle.phase.name,
-            "level": cycle.level,
             "setpoint_n": cycle.setpoint_n,
             "goal_current_a": cycle.goal_current_a,
             **{name: getattr(state, name) for name in names},

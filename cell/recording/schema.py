@@ -105,8 +105,6 @@ class Cycle(_Record):
     """monotonic time of the servo state, s"""
     phase: str
     """phase of the gripper"""
-    level: NotRequired[Natural]
-    """level of the ramp that is held; left out while the force changes"""
     setpoint_n: NotRequired[Number]
     """set-point of the grip force, N; 0 while no force is controlled"""
     goal_current_a: NotRequired[Number]

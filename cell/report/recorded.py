@@ -374,7 +374,7 @@ def _facts(config: CellConfig | None, pads: PadArray) -> dict[str, str]:
         facts["CAN"] = f"{tactile.place}, {tactile.bitrate:,} bit/s{node}"
     facts |= {
         "Force": "{:g} to {:g} N".format(*sequence.force_n),
-        "Ramp": f"{sequence.ramp.rate_n_s:g} N/s, levels: {sequence.ramp.levels}",
+        "Ramp": f"{sequence.ramp.rate_n_s:g} N/s",
         "Position": "x {:g} to {:g} mm, y {:g} to {:g} mm".format(*sequence.x_mm, *sequence.y_mm),
         "Rotation": "{:g} to {:g} deg".format(*sequence.rotation_deg),
         "Seed": str(config.seed),

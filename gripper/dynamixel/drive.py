@@ -64,11 +64,11 @@ class DriveCharacteristic:
     """Unix time of the measurement in s; 0: never, these are figures of the catalogue."""
 
     def __post_init__(self) -> None:
-        positive = "breakaway_a rising_a_nm falling_a_nm yielding_share kt_nm_a"
-        for name in positive.split():
-            value = getattr(self, name)
-            if not 0.0 < value < inf:
-                raise LimitExceeded(f"{name} is {value}, must be above 0 and finite")
+        signed = "viscous_a_s", "offset_a", "temperature_c", "measured_s"
+        for name, value in (vars(self) | {"temperature_c": self.temperature_c or 0.0}).items():
+            if not (-inf if name in signed else 0.0) < value < inf:
+                above = "" if name in signed else "above 0 and "
+                raise LimitExceeded(f"{name} is {value}, must be {above}finite")
 
     @classmethod
     def catalogue(cls, model: ServoModel) -> Self:

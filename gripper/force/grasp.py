@@ -135,7 +135,7 @@ class GraspRun:
         """Follow a further ramp in the same grip; see `Gripper.squeeze`."""
         begun = ramp.starting_from(control.grip.setpoint_n)
         control.resume(ramp.final_n)
-        step = GripStep(self._settings, control, begun, levels=True)
+        step = GripStep(self._settings, control, begun)
         return step.outcome(self._runner.run(step.step))
 
     def _approach(self, mechanics: Mechanics) -> Approach:
@@ -163,9 +163,9 @@ class GraspRun:
 
 
 class RampTime:
-    """Time on a ramp: it stops at the start of a level until the force has risen to it.
+    """Time on a ramp: it stops at the start of the hold until the force has risen to it.
 
-    So the held force is the level, also after a fast change.
+    So the end of the ramp is held for the whole time, also after a fast change.
 
     Parameters
     ----------
@@ -182,48 +182,36 @@ class RampTime:
         self._begin(ramp)
 
     def _begin(self, ramp: ForceRamp) -> None:
-        self.ramp, self.elapsed_s = ramp, 0.0
-        self._waited_s: float | None = None
-        self._look()
+        self.ramp, self.elapsed_s, self._waited_s = ramp, 0.0, 0.0
+        self.holds = ramp.change_s == 0.0
+        """Whether the hold has begun."""
 
-    def _look(self) -> None:
-        segment, within_s = self.ramp.at(self.elapsed_s)
-        self.setpoint_n = segment.force_n(within_s)
+    @property
+    def setpoint_n(self) -> float:
         """Present set-point in N."""
-        self.arrival_n = segment.end_n
-        """End of the present change of force in N."""
-        self.level = segment.level
-        """Index of the held level; None on the way to it."""
+        return self.ramp.setpoint_n(self.elapsed_s)
 
     def advance(self, dt_s: float, force_n: float, aperture_m: float) -> None:
         """Advance by ``dt_s`` s, at a force of ``force_n`` N and an opening in m.
 
         A rise ends with closed fingers: part and foam yield without more force.
         """
-        settings, least_n = self._settings, self._settings.contact_force_n
+        settings, ramp, least_n = self._settings, self.ramp, self._settings.contact_force_n
         closed = aperture_m <= settings.least_pressed_m
-        if closed and least_n <= self.setpoint_n < self.ramp.final_n:
-            self._begin(self.ramp.ended_at(self.elapsed_s, most_n=max(force_n, least_n)))
+        if closed and least_n <= self.setpoint_n < ramp.final_n:
+            self._begin(ForceRamp.steady(min(self.setpoint_n, max(force_n, least_n))))
             return
-        if self._waited_s is None:
-            changed = self.level is None
+        if self.holds or self.elapsed_s < ramp.change_s:
             self.elapsed_s += dt_s
-            self._look()
-            if not changed or self.level is None:
-                return
-            self._waited_s = 0.0
-        self._waited_s += dt_s
-        least_n = self.setpoint_n - settings.settle_tolerance_at_n(self.setpoint_n)
-        self._look()
-        if force_n >= least_n or self._waited_s > settings.settle_timeout_s:
-            self._waited_s = None
-        else:
-            self.level = None
+        if not self.holds and self.elapsed_s >= ramp.change_s:
+            self._waited_s += dt_s
+            least_n = ramp.final_n - settings.settle_tolerance_at_n(ramp.final_n)
+            self.holds = force_n >= least_n or self._waited_s > settings.settle_timeout_s
 
     def settled(self, force_n: float) -> bool:
         """Return whether the ramp is over and its force reached, or its time is over."""
         left_s = self.ramp.duration_s - self.elapsed_s
-        if left_s > EQUAL or self._waited_s is not None:
+        if left_s > EQUAL or not self.holds:
             return False
         final_n = self.ramp.final_n
         return (
@@ -243,27 +231,16 @@ class GripStep:
         Control of the held part; the caller resumes it for the change.
     ramp
         The change of force.
-    levels
-        Whether the levels of the ramp are part of its actions.
     """
 
-    def __init__(
-        self,
-        settings: GripperSettings,
-        control: GripControl,
-        ramp: ForceRamp,
-        *,
-        levels: bool = False,
-    ) -> None:
+    def __init__(self, settings: GripperSettings, control: GripControl, ramp: ForceRamp) -> None:
         self.control = control
         """Control of the grip force."""
         self.lost = False
         """True when the part was lost; then the fingers hold their positions."""
         self._settings = settings
         self._time = RampTime(settings, ramp)
-        self._levels, self._slips = levels, True
-        self._peak_n = 0.0
-        self._ended = False
+        self._slips, self._peak_n, self._ended = True, 0.0, False
 
     def step(self, moment: Moment) -> Action:
         """Return the action of one period; PartLost, PartSlipped when the part goes."""
@@ -274,25 +251,24 @@ class GripStep:
                 f"fingers stand still"
             )
         self._time.advance(moment.dt_s, self.control.grip.force_n, moment.state.aperture_m)
-        action = self._action(moment)
-        return action if self._levels else replace(action, level=None)
+        return self._action(moment)
 
     def _action(self, moment: Moment) -> Action:
         """Return the action of one period at the present time on the ramp."""
-        control, level = self.control, self._time.level
-        goals = control.goals(moment, self._time.setpoint_n, arrival_n=self._time.arrival_n)
+        control, time = self.control, self._time
+        goals = control.goals(moment, time.setpoint_n, arrival_n=time.ramp.final_n)
         setpoint_n = control.grip.setpoint_n
         self._peak_n = max(self._peak_n, control.force_n)
         if self.lost:
             goals = standing(goals, moment.state)
-        elif self._slips and level is not None and not control.watch.suspicious:
+        elif self._slips and time.holds and not control.watch.suspicious:
             opens = control.grip.opened_s == moment.now_s
             control.slip.check(moment, setpoint_n=setpoint_n, opens=opens)
         done = self.lost or self._over(control.force_n)
         if done and not self.lost:
             # The last goals stay in force: a push would go on.
             goals = control.quiet_goals(moment)
-        return Action(goals=goals, setpoint_n=setpoint_n, level=level, done=done)
+        return Action(goals=goals, setpoint_n=setpoint_n, done=done)
 
     def _over(self, force_n: float) -> bool:
         """Return whether the step is the last one, at a force in N."""
@@ -356,8 +332,7 @@ class ContactStep(GripStep):
     def step(self, moment: Moment) -> Action:
         """Return the action of one period. Raises PartSlipped when a held part slips."""
         if not self._ended and self._ends_early():
-            ended = self._time.ramp.ended_at(self._time.elapsed_s)
-            self._time = RampTime(self._settings, ended)
+            self._time = RampTime(self._settings, ForceRamp.steady(self._time.setpoint_n))
             self._ended = True
         else:
             self._time.advance(moment.dt_s, self.control.grip.force_n, moment.state.aperture_m)
@@ -383,7 +358,7 @@ class HoldStep(GripStep):
     def __init__(self, settings: GripperSettings, control: GripControl, duration_s: float) -> None:
         held_n = control.grip.setpoint_n
         control.resume(held_n)
-        super().__init__(settings, control, ForceRamp.linear(held_n, 1.0, start_n=held_n))
+        super().__init__(settings, control, ForceRamp.steady(held_n))
         self._left_s = duration_s
 
     def step(self, moment: Moment) -> Action:

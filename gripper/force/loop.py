@@ -28,8 +28,6 @@ class Action:
     """Goal of each servo; None writes nothing."""
     setpoint_n: float = 0.0
     """Set-point of the force in N."""
-    level: int | None = None
-    """Held level of the ramp."""
     done: bool = False
     """True when the command ends after this period."""
 
@@ -225,7 +223,6 @@ class LoopRunner:
             force=sample,
             setpoint_n=action.setpoint_n,
             goal_current_a=self.servos.goal_current_a,
-            level=action.level,
         )
 
     def _check_force(self, now_s: float, fresh_s: float, sample: ForceSample | None) -> None:

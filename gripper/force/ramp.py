@@ -1,6 +1,5 @@
 """Force ramp: the set-point of the grip force over time as a value, its limits and its end."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
 
@@ -12,162 +11,59 @@ from gripper.settings import check_number, largest_setpoint_n
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RampSegment:
-    """One piece of a ramp: a straight line.
+class ForceRamp:
+    """Set-point of the grip force: a straight line up or down, then a hold.
 
     The force law plans a force whose rate does not jump at its ends.
     """
 
-    duration_s: float
-    """Length of the piece in s."""
-    start_n: float
-    end_n: float
+    start_n: float = 0.0
+    final_n: float
     """Force at its ends in N."""
-    level: int | None = None
-    """Index of the level of a hold; None while the force changes."""
-
-    @property
-    def rate_n_s(self) -> float:
-        """Magnitude of the rate in N/s."""
-        change_n = abs(self.end_n - self.start_n)
-        return change_n / self.duration_s if change_n > 0.0 else 0.0
-
-    def force_n(self, elapsed_s: float) -> float:
-        """Return the force in N at a time within the piece."""
-        if self.duration_s <= 0.0 or elapsed_s >= self.duration_s:
-            return self.end_n
-        share = max(0.0, elapsed_s) / self.duration_s
-        return self.start_n + share * (self.end_n - self.start_n)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ForceRamp:
-    """Set-point of the grip force, continuous and monotone from its start to its end.
-
-    Made by `linear` or `staircase`.
-    """
-
-    segments: tuple[RampSegment, ...]
-    """The pieces, in order; each starts at the force where the one before ends."""
+    rate_n_s: float
+    """Magnitude of its rate in N/s."""
+    hold_s: float = 0.0
+    """Time at its end in s."""
 
     def __post_init__(self) -> None:
-        if not self.segments:
-            raise LimitExceeded("a ramp needs at least one segment")
-        force_n = self.segments[0].start_n
-        signs: set[bool] = set()
-        for segment in self.segments:
-            check_number("duration_s of a segment", segment.duration_s, low=0.0)
-            check_number("start_n of a segment", segment.start_n, low=0.0)
-            check_number("end_n of a segment", segment.end_n, low=0.0)
-            if segment.start_n != force_n:
-                raise LimitExceeded(
-                    f"a segment starts at {segment.start_n} N, the one before ends at {force_n} N"
-                )
-            if segment.end_n != segment.start_n:
-                check_number("duration_s of a change of force", segment.duration_s, above=0.0)
-                signs.add(segment.end_n > segment.start_n)
-            force_n = segment.end_n
-        if len(signs) > 1:
-            raise LimitExceeded("a ramp goes up or down, not both")
+        check_number("rate_n_s", self.rate_n_s, above=0.0)
+        for name in ("start_n", "final_n", "hold_s"):
+            check_number(name, getattr(self, name), low=0.0)
 
     @classmethod
     def linear(
         cls, force_n: float, rate_n_s: float, hold_s: float = 0.0, start_n: float = 0.0
     ) -> "ForceRamp":
         """Return a straight line from start_n to force_n at rate_n_s (a magnitude), then a hold."""
-        return cls.staircase(
-            (check_number("force_n", force_n, low=0.0),), rate_n_s, hold_s, start_n
-        )
+        return cls(start_n=start_n, final_n=force_n, rate_n_s=rate_n_s, hold_s=hold_s)
 
     @classmethod
-    def staircase(
-        cls, levels_n: Sequence[float], rate_n_s: float, hold_s: float, start_n: float = 0.0
-    ) -> "ForceRamp":
-        """Return straight lines between levels at rate_n_s, each level held for hold_s s."""
-        if not levels_n:
-            raise LimitExceeded("levels_n is empty, a staircase needs at least one level")
-        check_number("rate_n_s", rate_n_s, above=0.0)
-        check_number("hold_s", hold_s, low=0.0)
-        segments: list[RampSegment] = []
-        force_n = check_number("start_n", start_n, low=0.0)
-        for index, level_n in enumerate(levels_n):
-            rise_s = abs(check_number(f"levels_n[{index}]", level_n, low=0.0) - force_n) / rate_n_s
-            segments.append(RampSegment(duration_s=rise_s, start_n=force_n, end_n=level_n))
-            segments.append(_hold(level_n, hold_s, index))
-            force_n = level_n
-        return cls(segments=tuple(segments))
+    def steady(cls, force_n: float) -> "ForceRamp":
+        """Return a ramp that stays at a force in N."""
+        return cls.linear(force_n, 1.0, start_n=force_n)
+
+    @property
+    def change_s(self) -> float:
+        """Length of the change of force in s."""
+        return abs(self.final_n - self.start_n) / self.rate_n_s
 
     @property
     def duration_s(self) -> float:
-        """Whole length in s, holds included."""
-        return sum(segment.duration_s for segment in self.segments)
-
-    @property
-    def start_n(self) -> float:
-        """Force at the beginning in N."""
-        return self.segments[0].start_n
-
-    @property
-    def final_n(self) -> float:
-        """Force at the end in N."""
-        return self.segments[-1].end_n
-
-    @property
-    def max_rate_n_s(self) -> float:
-        """Largest magnitude of the rate in N/s."""
-        return max(segment.rate_n_s for segment in self.segments)
+        """Whole length in s, with the hold."""
+        return self.change_s + self.hold_s
 
     def setpoint_n(self, elapsed_s: float) -> float:
-        """Return the force in N at a time since the start; the ends extend without bound."""
-        segment, within_s = self.at(elapsed_s)
-        return segment.force_n(within_s)
-
-    def at(self, elapsed_s: float) -> tuple[RampSegment, float]:
-        """Return the piece of a time since the start, and the time within it, both in s."""
-        for segment in self.segments[:-1]:
-            if elapsed_s < segment.duration_s:
-                return segment, elapsed_s
-            elapsed_s -= segment.duration_s
-        return self.segments[-1], elapsed_s
-
-    def ended_at(self, elapsed_s: float, *, most_n: float = inf) -> "ForceRamp":
-        """Return a ramp that ends at the force of a time since the start, without a hold.
-
-        Its level is the one held then, or else the next one, with at most ``most_n`` N.
-        """
-        segment, within_s = self.at(elapsed_s)
-        following = self.segments[self.segments.index(segment) :]
-        level = next((s.level for s in following if s.level is not None), None)
-        return ForceRamp(segments=(_hold(min(segment.force_n(within_s), most_n), 0.0, level),))
+        """Return the force in N at a time since the start, which is at least 0."""
+        if elapsed_s >= self.change_s:
+            return self.final_n
+        return self.start_n + elapsed_s / self.change_s * (self.final_n - self.start_n)
 
     def starting_from(self, force_n: float) -> "ForceRamp":
-        """Return this ramp begun at a measured force, so that the set-point never jumps.
+        """Return this ramp begun at a measured force in N, so that the set-point does not jump.
 
-        The part of the ramp before ``force_n`` is omitted. If the ramp starts beyond ``force_n``, a
-        straight line at its largest rate comes first. For a force beyond the final one the line
-        goes back to the final force.
-
-        Parameters
-        ----------
-        force_n
-            Grip force now in N; a negative reading counts as 0.
+        A negative reading counts as 0. From a force beyond the end the line goes back to it.
         """
-        force_n = max(0.0, check_number("force_n", force_n))
-        rising = self.final_n >= self.start_n
-        if (force_n < self.start_n) if rising else (force_n > self.start_n):
-            return ForceRamp(segments=(self._lead_in(force_n, self.start_n), *self.segments))
-        for index, segment in enumerate(self.segments):
-            low_n, high_n = sorted((segment.start_n, segment.end_n))
-            if low_n <= force_n <= high_n and force_n != segment.end_n:
-                share = (segment.end_n - force_n) / (segment.end_n - segment.start_n)
-                cut = replace(segment, duration_s=segment.duration_s * share, start_n=force_n)
-                return ForceRamp(segments=(cut, *self.segments[index + 1 :]))
-        final_hold = tuple(s for s in self.segments[-1:] if s.start_n == s.end_n)
-        return ForceRamp(segments=(self._lead_in(force_n, self.final_n), *final_hold))
-
-    def _lead_in(self, from_n: float, to_n: float) -> RampSegment:
-        duration_s = abs(to_n - from_n) / (self.max_rate_n_s or 1.0)
-        return RampSegment(duration_s=duration_s, start_n=from_n, end_n=to_n)
+        return replace(self, start_n=max(0.0, check_number("force_n", force_n)))
 
 
 def largest_ramp_n(mechanics: Mechanics) -> float:
@@ -221,7 +117,3 @@ def heat_note(force_n: float, mechanics: Mechanics) -> str:
                 f"protection drops it. Ask for less force, take a shorter lever or a stronger servo"
             )
     return note
-
-
-def _hold(force_n: float, duration_s: float, level: int | None) -> RampSegment:
-    return RampSegment(duration_s=duration_s, start_n=force_n, end_n=force_n, level=level)

@@ -64,6 +64,8 @@ class Servos:
         """
         self.feedback = Feedback(bus, mechanics, clock, self.check_torque)
         """Reader of the feedback, with the last one."""
+        self.watchdog_proven = False
+        """Whether these servos have passed the self-test of their bus watchdog."""
         self.notes: list[str] = []
         """Warnings of servos that were not yet fetched."""
         self._polls = 0
@@ -96,9 +98,11 @@ class Servos:
         return self._bus.in_loop()
 
     def forget(self) -> None:
-        """Discard the last goals and feedback: the servos were restarted or switched off."""
+        """Discard goals, feedback and proof: the servos were restarted or switched off."""
         self.goals.forget()
         self.feedback.forget()
+        # They may be others when their torque comes on again.
+        self.watchdog_proven = False
 
     # Goals
 

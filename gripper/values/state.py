@@ -144,8 +144,6 @@ class Cycle:
     """Newest force sample, or None."""
     setpoint_n: float = 0.0
     """Force set-point in N; 0 while no force is controlled."""
-    level: int | None = None
-    """Held level of the ramp; None while the force changes."""
 
 
 Observer = Callable[[Cycle], None]

@@ -75,6 +75,10 @@ class LinkSettings:
                     f"{key.name} is {value}, must be {key.metadata['low']:g} to "
                     f"{key.metadata['high']:g}"
                 )
+        if abs(self.force_period_s - round(self.force_period_s, 3)) > 1e-9:
+            raise ValueError(
+                f"force_period_s is {self.force_period_s}, must be a whole number of ms"
+            )
 
 
 def message_bits(n_bytes: int) -> int:

@@ -10,6 +10,7 @@ from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, GroupSyncRead
 
 from gripper import ForceSample, Gripper, RackPinion, open_gripper
 from gripper.dynamixel.control_table import TORQUE_ENABLE
+from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.protocol2 import CheckedPacketHandler
 from gripper.dynamixel.serial_port import SdkPort, open_line
 from gripper.errors import (
@@ -253,6 +254,8 @@ def test_the_largest_ramp_is_the_last_one_that_is_allowed(make_cell, current_max
 def test_commands_out_of_turn_are_refused(started) -> None:
     with pytest.raises(GripperStateError, match="hold is not possible in the state OFF"):
         started.gripper.hold(1.0)
+    with pytest.raises(GripperStateError, match="measure_load is not possible in the state OFF"):
+        started.gripper.measure_load()
 
     def reenter(_: Cycle) -> None:
         with pytest.raises(GripperStateError, match="another command runs"):
@@ -263,8 +266,15 @@ def test_commands_out_of_turn_are_refused(started) -> None:
     started.gripper.request_stop()  # An old request ends no new command.
     started.gripper.open(observer=reenter)
     started.gripper.grasp(RAMP)
-    with pytest.raises(GripperStateError, match="release the part first"):
-        started.gripper.open()
+    gripper = started.gripper
+    for command, *given in (
+        (gripper.open,),
+        (gripper.measure_friction,),
+        (gripper.grasp, RAMP),
+        (gripper.press_pads_together, RAMP),
+    ):
+        with pytest.raises(GripperStateError, match=f"{command.__name__} .*release the part first"):
+            command(*given)
     with pytest.raises(LimitExceeded, match="duration_s"):
         started.gripper.hold(0.0)
     with pytest.raises(LimitExceeded, match="duration_s is nan"):
@@ -304,6 +314,7 @@ def test_ticks_feed_the_watchdog_and_without_a_part_the_next_command_restarts_it
 
 
 SERVO = ServoSettings(servo_id=1)
+DRIVE = DriveCharacteristic.catalogue(SERVO.servo_model)
 
 
 @pytest.mark.parametrize(
@@ -324,6 +335,11 @@ SERVO = ServoSettings(servo_id=1)
         (SERVO, {"model": "servo"}, "'servo' is not known: use one of XM430-W350, "),
         (SERVO, {"direction": 0}, "direction"),
         (SERVO, {"servo_id": 253}, "servo_id"),
+        (DRIVE, {"coulomb_a": 0.0}, "coulomb_a is 0.0, must be above 0"),
+        (DRIVE, {"friction_sd": -0.1}, "friction_sd"),
+        (DRIVE, {"load_sd": -0.1}, "load_sd"),
+        (DRIVE, {"viscous_a_s": float("nan")}, "viscous_a_s is nan, must be finite"),
+        (DRIVE, {"temperature_c": float("inf")}, "temperature_c"),
         (SERVO, {"zero_raw": 4096}, "zero_raw"),
     ],
 )

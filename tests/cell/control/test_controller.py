@@ -20,6 +20,7 @@ from cell.errors import CellError, CellStateError, CellStopped, NoPartFound, Pla
 from cell.learning.shape_reading import shape_reader
 from cell.recording.reader import read_recording
 from gripper.errors import GripperError, LimitExceeded
+from gripper.force.ramp import ForceRamp
 from gripper.values.outcome import GraspResult
 from gripper.values.state import GripperPhase
 from recognition.grasp import ZERO_COLUMNS, SelfZero
@@ -323,11 +324,8 @@ def test_no_plan_is_empty_and_no_pose_is_not_finite() -> None:
     assert pose.startswith("x +1.0 mm, y +0.0 mm, rotation 180")
 
 
-def test_a_ramp_of_the_config_has_equal_levels_up_to_the_wanted_force() -> None:
-    ramp = RampConfig(levels=4, rate_n_s=10.0, hold_s=0.2).to(6.0)
-    held_n = {one.level: one.end_n for one in ramp.segments if one.level is not None}
-    assert held_n == {0: 1.5, 1: 3.0, 2: 4.5, 3: 6.0}
-    assert ramp.duration_s == pytest.approx(0.6 + 4 * 0.2)
+def test_a_ramp_of_the_config_grows_at_its_rate_and_is_held() -> None:
+    assert RampConfig(rate_n_s=10.0, hold_s=0.2).to(6.0) == ForceRamp.linear(6.0, 10.0, 0.2)
 
 
 # -- One grasp without a cell ----------------------------------------------------------------------

@@ -226,7 +226,7 @@ def test_further_samples_of_the_taxels_come_back(three, tmp_path) -> None:
 def test_unknown_values_are_left_out(tmp_path) -> None:
     nan = float("nan")
     with closing(Recorder(tmp_path / "r.mcap", Clock(100.0), pads=PADS)) as recorder:
-        recorder.cycle(make_cycle(1.0, force=None, setpoint_n=nan, level=None))
+        recorder.cycle(make_cycle(1.0, force=None, setpoint_n=nan))
         recorder.cycle(
             make_cycle(
                 1.1,
@@ -235,11 +235,10 @@ def test_unknown_values_are_left_out(tmp_path) -> None:
             )
         )
     first, second = (row.content for row in RecordedMessages(tmp_path / "r.mcap"))
-    assert not {"force_n", "force_valid", "setpoint_n", "level"} & set(first)
+    assert not {"force_n", "force_valid", "setpoint_n"} & set(first)
     assert first["servos"][0]["angle_rad"] == 0.123456789
     assert second["force_valid"] is False
     assert not {"force_n", "aperture_m"} & set(second)
-    assert second["level"] == 1
     assert "angle_rad" not in second["servos"][0]
     assert second["servos"][0]["voltage_v"] == 12.1
     cycles = read_recording(tmp_path / "r.mcap").cycles

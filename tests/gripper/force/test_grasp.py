@@ -1,4 +1,4 @@
-"""Steps of a grasp: ramps and their levels, a ramp that is ended on request, holding."""
+"""Steps of a grasp: ramps, a ramp that is ended on request, holding."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -17,11 +17,9 @@ from tests.marks import LONG
 from tests.values import make_state
 
 LINEAR = ForceRamp.linear(8.0, 10.0, hold_s=0.3)
-RAMPS = {"linear": LINEAR, "staircase": ForceRamp.staircase((2.0, 4.0, 8.0), 10.0, 0.2)}
 
 
-@pytest.mark.parametrize("kind", RAMPS)
-def test_the_set_point_stays_and_the_force_does_not_rise_any_more(make_started, kind: str) -> None:
+def test_the_set_point_stays_and_the_force_does_not_rise_any_more(make_started) -> None:
     cell = make_started(approach_speed_m_s=0.01, rate_hz=200.0)
     ask, after = cell.once(cell.gripper.end_ramp, at_n=3.5), []
 
@@ -30,7 +28,7 @@ def test_the_set_point_stays_and_the_force_does_not_rise_any_more(make_started, 
         if cell.acted_s:
             after.append((cycle.setpoint_n, cell.force_n))
 
-    outcome = cell.gripper.grasp(RAMPS[kind], observe)
+    outcome = cell.gripper.grasp(LINEAR, observe)
     assert (outcome.result, outcome.ended_early) == (GraspResult.FORCE_REACHED, True)
     assert cell.gripper.phase is GripperPhase.HOLDING
     cell.gripper.hold(0.5, observe)
@@ -48,12 +46,13 @@ def test_a_request_between_grasps_or_after_the_ramp_is_not_kept(started) -> None
     settling_s: list[float] = []
 
     def when_it_is_over(cycle: Cycle) -> None:
-        if cycle.level is not None:
+        if cycle.setpoint_n == LINEAR.final_n:
             settling_s.append(cycle.t_s)
-            if cycle.t_s - settling_s[0] > 0.3:
+            if cycle.t_s - settling_s[0] > LINEAR.hold_s - 1e-6:
                 started.gripper.end_ramp()
 
     assert not started.gripper.grasp(LINEAR, when_it_is_over).ended_early
+    assert settling_s[-1] - settling_s[0] > LINEAR.hold_s - 1e-6
     assert started.force_n == pytest.approx(8.0, rel=0.1)
     started.gripper.end_ramp()
     started.gripper.release()
@@ -163,7 +162,7 @@ def test_a_smaller_opening_while_pressing_lets_a_small_part_sink_deeper(make_sta
 
 SETTINGS = GripperSettings(settle_timeout_s=0.2)
 WIDE_M = 0.01
-STAIRS = ForceRamp.staircase((2.0, 4.0), 10.0, 0.1, start_n=1.0)
+UP = ForceRamp.linear(2.0, 10.0, 0.1, start_n=1.0)
 
 
 def passed(time: RampTime, seconds: float, force_n: float) -> RampTime:
@@ -172,13 +171,14 @@ def passed(time: RampTime, seconds: float, force_n: float) -> RampTime:
     return time
 
 
-def test_a_level_begins_when_the_force_has_risen_to_it() -> None:
-    time = passed(RampTime(SETTINGS, STAIRS), 0.15, 1.0)
-    assert (time.level, time.setpoint_n) == (None, pytest.approx(2.0))
-    assert passed(time, 0.005, 1.8).level == 0
-    assert passed(time, 0.1, 1.8).level is None  # on the way to the next one
-    late = passed(RampTime(SETTINGS, STAIRS), 0.1 + 0.205, 1.0)
-    assert late.level == 0  # the time for it was up
+def test_the_hold_begins_when_the_force_has_risen_to_it() -> None:
+    time = passed(RampTime(SETTINGS, UP), 0.15, 1.0)
+    assert (time.holds, time.setpoint_n) == (False, 2.0)
+    assert passed(time, 0.005, 1.8).holds
+    assert not passed(time, 0.09, 1.8).settled(1.8)
+    assert passed(time, 0.01, 1.8).settled(1.8)
+    late = passed(RampTime(SETTINGS, UP), 0.1 + 0.205, 1.0)
+    assert late.holds  # the time for it was up
 
 
 def test_a_ramp_is_over_when_its_force_is_there_or_the_time_for_it_is_up() -> None:
@@ -189,9 +189,9 @@ def test_a_ramp_is_over_when_its_force_is_there_or_the_time_for_it_is_up() -> No
 
 
 def test_a_rise_ends_where_the_fingers_are_closed() -> None:
-    time = passed(RampTime(SETTINGS, STAIRS), 0.05, 1.5)
+    time = passed(RampTime(SETTINGS, UP), 0.05, 1.5)
     time.advance(0.005, 1.4, SETTINGS.least_pressed_m)
-    assert (time.ramp.final_n, time.requested_n) == (pytest.approx(1.4), 4.0)
+    assert (time.ramp.final_n, time.requested_n) == (pytest.approx(1.4), 2.0)
     assert time.settled(1.4)
 
 
@@ -219,16 +219,14 @@ def test_the_end_of_a_hold_leaves_no_push_in_force() -> None:
     assert (pushes.done, ends.done) == (False, True)
 
 
-def test_levels_are_watched_for_a_slip_unless_the_part_is_in_doubt() -> None:
+def test_holds_are_watched_for_a_slip_unless_the_part_is_in_doubt() -> None:
     for suspicious in (True, False):
         held, checked_n = control(suspicious=suspicious), list[float]()
         held.slip.check = lambda _moment, setpoint_n, n=checked_n, **_: n.append(setpoint_n)
-        step = GripStep(SETTINGS, held, STAIRS, levels=True)
+        step = GripStep(SETTINGS, held, UP)
         HoldStep(SETTINGS, held, 0.1).step(MOMENT)
-        watched = [step.step(MOMENT).level for _ in range(30)]
-        assert set(watched) == {None, 0}
-        assert len(checked_n) == (0 if suspicious else 1 + watched.count(0))
-    change = GripStep(SETTINGS, control(), STAIRS)
-    assert {change.step(MOMENT).level for _ in range(30)} == {None}
+        for _ in range(30):
+            step.step(MOMENT)
+        assert len(checked_n) == (0 if suspicious else 1 + 11)
     with pytest.raises(PartLost, match=r"at an opening of 23\.4 mm"):
-        GripStep(SETTINGS, control(lost=True), STAIRS).step(MOMENT)
+        GripStep(SETTINGS, control(lost=True), UP).step(MOMENT)

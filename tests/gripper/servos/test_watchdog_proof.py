@@ -7,6 +7,7 @@ from gripper.errors import (
     GraspStopped,
     GripperStateError,
     LimitExceeded,
+    ServoFault,
     WatchdogUnproven,
 )
 from gripper.force.ramp import ForceRamp
@@ -44,6 +45,28 @@ def test_a_watchdog_that_stops_the_motors_is_proven_once(make_started, how, watc
     cell.gripper.open(0.021)
     assert cell.clock.monotonic() - opened_s < 0.5
     assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
+
+
+@pytest.mark.parametrize("leaves", ["reboot", "close"])
+def test_a_watchdog_is_proven_again_after_the_servos_were_without_torque(
+    make_started, leaves: str
+) -> None:
+    cell = make_started(watchdog_self_test=True, present=False)
+    cell.gripper.open()
+    if leaves == "reboot":
+        cell.bus.reboot(1)
+        cell.clock.sleep(1.0)
+        with pytest.raises(ServoFault):
+            cell.gripper.open(0.02)
+        cell.gripper.clear_fault(reboot=True)
+        cell.gripper.release()
+    else:
+        cell.gripper.close()
+        cell.gripper.start()
+    with pytest.raises(GripperStateError, match="self-test"):
+        cell.gripper.grasp(RAMP)
+    cell.gripper.open()
+    assert cell.gripper.grasp(RAMP).result is GraspResult.NO_CONTACT
 
 
 def test_a_motor_that_turns_on_is_found_and_no_grasp_is_begun(make_started) -> None:

@@ -428,6 +428,7 @@ def test_a_second_start_is_refused_and_a_stop_leaves_the_unit_pre_operational(be
         {"startup_timeout_s": 0.0},
         {"max_loss_rate": 1.5},
         {"sdo_timeout_s": float("nan")},
+        {"force_period_s": 0.0025},
     ],
 )
 def test_settings_out_of_range_are_refused(change) -> None:

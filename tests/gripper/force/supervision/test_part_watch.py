@@ -178,18 +178,18 @@ def test_nothing_is_lost_that_was_never_held() -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [None, 500.0])
-@pytest.mark.parametrize("level_n", [0.8, 1.5])
+@pytest.mark.parametrize("end_n", [0.8, 1.5])
 def test_a_light_part_that_is_taken_is_lost_though_no_finger_runs(
-    make_started, rate_hz, level_n
+    make_started, rate_hz, end_n
 ) -> None:
     """Friction holds the fingers where the part was: they close only when they try to."""
     cell = make_started(rate_hz=rate_hz, slip_drop_n=20.0)
 
     def take(cycle) -> None:
-        if cycle.level is not None:
+        if cycle.setpoint_n == end_n:
             cell.part.present = False
 
-    outcome = cell.gripper.grasp(ForceRamp.linear(level_n, rate_n_s=4.0, hold_s=1.5), take)
+    outcome = cell.gripper.grasp(ForceRamp.linear(end_n, rate_n_s=4.0, hold_s=1.5), take)
     assert outcome.result is GraspResult.PART_LOST
 
 
