@@ -55,11 +55,12 @@ COARSE_PADS = {
 
 
 def quick_config(**changes: Any) -> CellConfig:
-    """As `small_config`, with coarse pads, a shorter zero and way; for no taught model."""
+    """As `small_config`, with coarse pads, a shorter zero and way; no shapes, no taught model."""
     quick = {
         "tactile.layout": COARSE_PADS,
         "tactile.tare_frames": 10,
         "gripper.aperture_open_mm": 12.0,
+        "recognition.shape": False,
     }
     return small_config(**quick | changes)
 

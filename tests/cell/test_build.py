@@ -383,7 +383,7 @@ def test_each_approach_has_a_zero_of_its_own_while_z_drifts(make_bench) -> None:
     zero = bench.controller.zeroing.taxels
     assert (zero.offset_counts - first.offset_counts).min() > 1750
     assert zero.n_frames == 20
-    bench.idle(8.0)
+    bench.idle(3.0)
     assert bench.grip_n == pytest.approx(4.0, abs=0.9), "a drifting zero moves the fingers"
     day.clear()
     bench.inject("uskin.drift=1000")
@@ -814,7 +814,7 @@ def test_a_sample_is_as_old_as_it_says(make_bench, name: str) -> None:
             samples[cycle.force.measured_s] = cycle.force.grip_n
 
     bench.controller.start()
-    for _ in range(8):
+    for _ in range(4):
         bench.simulated.place("ball")
         hand.grasp(ForceRamp.linear(6.0, 20.0), see)
         hand.release(see)

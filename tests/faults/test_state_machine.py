@@ -610,7 +610,9 @@ def test_frames_that_nobody_scanned_are_found(cell: Driver) -> None:
         cell.identify(3.0)
 
 
-def test_an_error_without_a_type_and_a_command_without_an_end_are_found(cell: Driver) -> None:
+def test_an_error_without_a_type_and_a_command_without_an_end_are_found(cell, monkeypatch) -> None:
+    monkeypatch.setattr(f"{__name__}.COMMAND_BOUND_S", 1.0)
+
     def hang() -> None:
         while True:
             cell.simulated.clock.sleep(0.1)

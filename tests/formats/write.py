@@ -49,9 +49,8 @@ def make_files() -> None:
     measured(SimulatedBench(), Path("bench"), "registers", "velocity", "scale", "free")
     (result,) = Path("bench").glob("*.json")
     servos = [{"id": one, "model": "XM430-W350", "measured": str(result)} for one in (1, 2)]
-    config = quick_config(
-        name="press-4", recording__directory="jobs", gripper__servos=servos, sequence__max_grasps=1
-    )
+    jobs = {"recording__directory": "jobs", "sequence__max_grasps": 1, "recognition__shape": True}
+    config = quick_config(name="press-4", gripper__servos=servos, **jobs)
     Path("tactile-cell.yaml").write_text(config_text(config, comments=False))
     for part in ("ball", "box"):
         call("teach", part, "-n", 4, "-o", "parts.npz")

@@ -114,8 +114,7 @@ def test_a_part_that_sinks_into_the_foam_is_held_with_what_it_bears(make_bench, 
 
 
 def test_the_recording_holds_what_happened(make_bench: MakeBench, tmp_path: Path) -> None:
-    bench = make_bench(folder=tmp_path).ready()
-
+    bench = make_bench(quick_config(recognition__shape=True), folder=tmp_path).ready()
     answer = bench.controller.identify(
         Scripted(SURE),
         [GraspStep(pose=Pose(), force_n=3.0)],

@@ -549,8 +549,7 @@ def test_a_model_that_was_taught_without_a_self_zero_is_named_once(taught, make_
     assert "without a self-zero" not in second
 
 
-@pytest.mark.parametrize("label", ["ball", "box"])
-@pytest.mark.parametrize("recorded", [False, True])
+@pytest.mark.parametrize(("label", "recorded"), [("ball", False), ("box", True)])
 def test_a_model_of_some_objects_of_a_file_takes_only_these_from_it(
     taught, tmp_path, label, recorded
 ) -> None:

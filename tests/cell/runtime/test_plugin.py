@@ -68,7 +68,7 @@ def plugin_class() -> Any:
 
 
 def test_a_teaching_with_too_few_grasps_says_so_and_keeps_them(make_plugin: Any) -> None:
-    plugin = make_plugin()
+    plugin = make_plugin(quick_config(recognition__shape=True))
     with pytest.raises(JobFailed, match=r"ABORTED: .*at least 3.*kept for the next") as failed:
         done(plugin, TeachGoal(label="pin", grasps=1, present="ball"))
     assert failed.value.fault_number == 519
