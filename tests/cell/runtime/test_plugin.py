@@ -552,8 +552,8 @@ def test_an_idle_cell_in_real_time_is_supervised(make_plugin: Any, meddle: Any) 
     meddle(live)
     plugin = make_plugin()
     plugin.cell.simulated.inject("unit.off")
-    until(lambda: plugin.status().fault)
-    assert plugin.status().state == "ABORTED"
+    until(lambda: plugin.status().state == "ABORTED")
+    assert plugin.status().fault
 
 
 # -- Parts that a host has kept, through the plugin ------------------------------------------------
