@@ -64,10 +64,6 @@ class TooFewGrasps(CellError):
     """There are too few taught grasps for a training; they are kept."""
 
 
-class TrainingSetMissing(CellStateError):
-    """Teaching with a loaded model needs its training grasps; nothing has moved."""
-
-
 class PlanRefused(CellError, ValueError):
     """The requested grasp or plan cannot be carried out; nothing has moved."""
 

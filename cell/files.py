@@ -196,12 +196,18 @@ def array_names(path: Path) -> set[str]:
 
 
 def read_npz(
-    path: Path, *, error: type[CellError], what: str, limit_bytes: int
+    path: Path,
+    *,
+    error: type[CellError],
+    what: str,
+    limit_bytes: int,
+    wanted: Callable[[str], bool] = lambda _name: True,
 ) -> dict[str, NDArray[Any]]:
-    """Read all arrays of an npz archive that may be damaged or hostile; they are read-only.
+    """Read arrays of an npz archive that may be damaged or hostile; they are read-only.
 
-    Only numbers, booleans and strings are read; nothing in the file is ever executed. Sizes are
-    compared with ``limit_bytes`` (all arrays together, unpacked) before anything is unpacked.
+    Only numbers, booleans and strings are read; nothing in the file is ever executed. Arrays whose
+    names are not ``wanted`` are neither read nor unpacked. Sizes are compared with ``limit_bytes``
+    (all arrays together, unpacked) before anything is unpacked.
 
     Raises
     ------
@@ -222,19 +228,19 @@ def read_npz(
                 content = "not an npz archive" if head else "empty"
                 raise error(f"{path} is not a {what}: it is {content}; name a {what} (.npz)")
             archive = zipfile.ZipFile(file)
-            members = archive.infolist()
-            total = sum(member.file_size for member in members)
+            every = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+            members = {name: member for name, member in every.items() if wanted(name)}
+            total = sum(member.file_size for member in members.values())
             if total > limit_bytes:
                 raise error(
                     f"{path} unpacks to {total} bytes, the limit is {limit_bytes} bytes; write the "
                     f"{what} in several files"
                 )
-            for member in members:
-                name = member.filename.removesuffix(".npy")
+            for name, member in members.items():
                 where = f"array {name}: "
                 arrays[name] = _read_array(archive, member)
             where = ""
-            _check_directory(file, len(archive.comment), len(arrays))
+            _check_directory(file, len(archive.comment), len(every))
     except OSError as cause:
         reason = cause.strerror or str(cause)
         raise error(f"cannot read {what} {path}: {reason}; check the path") from cause
@@ -320,7 +326,7 @@ CONFIG = Format("config", "tactile-cell-config/1", "write that, or leave the key
 DATASET = Format("grasp data set", "grasp-dataset/1", _SAME)
 RECORDING = Format("recording", "tactile-cell-recording/2", _SAME)
 MODEL = Format(
-    "model", "tactile-cell-model/1", "train it again: `tactile-cell model train DATASETS -o MODEL`"
+    "model", "tactile-cell-model/2", "train it again: `tactile-cell model train DATASETS -o MODEL`"
 )
 COMMISSIONING = Format(
     "commissioning", "tactile-cell-commissioning/1", "move it away to commission anew"

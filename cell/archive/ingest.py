@@ -14,7 +14,7 @@ from cell.archive.store import BUSY, Archive, Row, batches, grasp_key, recording
 from cell.errors import ArchiveError, CellError, reason_text
 from cell.files import alone_in, array_names, open_plain
 from cell.learning.parallel import one_blas_thread
-from cell.recording.dataset import read_dataset
+from cell.recording.dataset import read_grasps
 from cell.recording.reader import read_recording
 from cell.recording.sink import in_use
 from recognition.evaluation.evaluation import Mapper, one_by_one
@@ -56,7 +56,7 @@ class Ingested:
 def sources(places: Sequence[Path]) -> list[Path]:
     """Return the recordings and data sets of some folders and files.
 
-    The models in a folder, which runs write beside their recordings, are left out. Raises
+    The models in a folder, whose grasps runs have recorded beside them, are left out. Raises
     ArchiveError where one does not exist or cannot be read, or no file is found.
     """
     files: list[Path] = []
@@ -134,7 +134,7 @@ def _names(paths: Sequence[Path]) -> Names:
     for path in paths:
         if recorded and path.suffix == _KINDS[1]:
             with suppress(CellError, OSError):  # what is wrong with it is said where it is added
-                names |= {grasp_key(g): (g.label, g.series) for g in read_dataset(path)}
+                names |= {grasp_key(g): (g.label, g.series) for g in read_grasps(path)}
     return names
 
 
@@ -172,7 +172,7 @@ def _batches(path: Path, cell: str, names: Names, sha256: str) -> Iterator[Any]:
 
 def _rows(path: Path, cell: str, names: Names) -> list[Row]:
     if path.suffix != ".mcap":
-        return [(of_cell(grasp, cell), {"grasp": i}) for i, grasp in enumerate(read_dataset(path))]
+        return [(of_cell(grasp, cell), {"grasp": i}) for i, grasp in enumerate(read_grasps(path))]
     recording = read_recording(path)
     if not recording.complete:
         raise CellError(f"it is {recording.incomplete}")

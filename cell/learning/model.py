@@ -1,5 +1,6 @@
-"""Model files: a trained recognizer as plain arrays and one JSON header in an npz archive.
+"""Model files: a trained recognizer and its training set as plain arrays in one npz archive.
 
+A JSON header names kind and checksum. The training set is read only to teach further.
 Nothing in a model file is ever executed. A model is refused before any hardware is used if its
 format, its pads or the version of its features differ from this program.
 """
@@ -7,9 +8,9 @@ format, its pads or the version of its features differ from this program.
 import hashlib
 import importlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self, cast
 from warnings import catch_warnings, simplefilter
@@ -29,6 +30,7 @@ from cell.files import (
     write_atomically,
 )
 from cell.plugins import RECOGNIZERS
+from cell.recording.dataset import IN_MODEL, dataset_arrays
 from recognition.drift.drift import DriftFollowing
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp, PadArray
@@ -73,7 +75,7 @@ def _rehearse(recognizer: Recognizer, grasp: Grasp) -> None:
 LAST_MODEL = "tactile-cell.model.txt"
 """File beside the models of a folder: the name of the one that the last `model train` wrote."""
 MODEL_LIMIT_BYTES = 256 << 20
-"""Largest unpacked size in bytes of a model file; real ones have a few MB."""
+"""Largest unpacked size in bytes of a model without its grasps; real ones have a few MB."""
 
 Arrays = Mapping[str, NDArray[Any]]
 """Plain arrays by name."""
@@ -85,20 +87,17 @@ _DATASET = "grasp_offsets"
 """Array of a data set, never of a model."""
 _PREFIX = "learnt."
 _PADS = "pads."
-_TRAINING = "training_set."
-"""Names of arrays in the archive: the header, and prefixes of recognizer, pads, training set."""
+"""Names of arrays in the archive: the header, and prefixes of recognizer and pads."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trained:
-    """Result of a training: the content of a model file."""
+    """Result of a training: the content of a model file, without its training set."""
 
     recognizer: Recognizer
     """The recognizer, ready to answer."""
     trainer_name: str
     """Its kind, one of `cell.plugins.RECOGNIZERS`."""
-    training_set: Arrays = field(default_factory=dict)
-    """Name and checksum of the data set of its training set; empty without one."""
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -122,11 +121,11 @@ class LoadedModel(Trained):
     """The file."""
 
 
-def save_model(path: Path | str, trained: Trained, pads: PadArray) -> None:
-    """Write a taught recognizer and the pads that it was taught on, whole or not at all.
+def save_model(path: Path | str, trained: Trained, grasps: Sequence[Grasp]) -> None:
+    """Write a taught recognizer and the grasps that it was taught with, whole or not at all.
 
     An older model stays until the new one is whole. Raises ModelError if the kind is unknown, the
-    path is a data set, or the write fails.
+    path is a data set, or the write fails, and DatasetError as `dataset_arrays`.
     """
     path, trainer_name = Path(path), trained.trainer_name
     kind = type(trained.recognizer)
@@ -139,30 +138,32 @@ def save_model(path: Path | str, trained: Trained, pads: PadArray) -> None:
         raise ModelError(
             f"{path} is a data set; a model would replace its grasps: choose another name for -o"
         )
-    parts = {_PREFIX: trained.recognizer.to_arrays(), _TRAINING: trained.training_set}
-    arrays: dict[str, NDArray[Any]] = pads.to_arrays(_PADS) | {
-        prefix + name: np.asarray(array)
-        for prefix, part in parts.items()
-        for name, array in part.items()
-    }
+    taught_with = _prefixed(IN_MODEL, dataset_arrays(path, grasps))
+    arrays = grasps[0].pads.to_arrays(_PADS) | _prefixed(_PREFIX, trained.recognizer.to_arrays())
     header = {
         "format": str(MODEL),
         "trainer": trainer_name,
         "class": kind.__name__,
         "sha256": _digest(arrays),
     }
-    arrays = {_HEADER: np.array(json.dumps(header)), **arrays}
+    arrays = {_HEADER: np.array(json.dumps(header)), **arrays, **taught_with}
     write_atomically(path, lambda file: savez(file, arrays), error=ModelError, what="model")
 
 
 def load_model(path: Path | str, expected_pads: PadArray | None = None) -> LoadedModel:
-    """Read a model file.
+    """Read a model file without its training set, which `read_grasps` reads.
 
     By default for its own pads. Raises ModelError if the file is damaged, not a model, of another
     version, or was taught on other pads.
     """
     path = Path(path)
-    arrays = read_npz(path, error=ModelError, what="model", limit_bytes=MODEL_LIMIT_BYTES)
+    arrays = read_npz(
+        path,
+        error=ModelError,
+        what="model",
+        limit_bytes=MODEL_LIMIT_BYTES,
+        wanted=lambda name: not name.startswith(IN_MODEL),
+    )
     header = _header(path, arrays)
     trainer_name = str(header.get("trainer"))
     kind = _class_of(path, trainer_name, str(header.get("class")))
@@ -170,7 +171,10 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
         with np.errstate(divide="raise", over="raise", invalid="raise"), catch_warnings():
             simplefilter("error", RuntimeWarning)
             pads = PadArray.from_arrays(arrays, _PADS)
-            recognizer = kind.from_arrays(_section(arrays, _PREFIX))
+            learnt = {
+                k.removeprefix(_PREFIX): a for k, a in arrays.items() if k.startswith(_PREFIX)
+            }
+            recognizer = kind.from_arrays(learnt)
             for label in recognizer.labels:
                 check_text("label", label)
             _rehearse(recognizer, _made_up_grasp(pads))
@@ -178,13 +182,7 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
         raise ModelError(
             f"{path} does not fit {PROGRAM} ({reason_text(cause)}); {MODEL.remedy}"
         ) from cause
-    model = LoadedModel(
-        recognizer=recognizer,
-        trainer_name=trainer_name,
-        pads=pads,
-        path=path,
-        training_set=_section(arrays, _TRAINING),
-    )
+    model = LoadedModel(recognizer=recognizer, trainer_name=trainer_name, pads=pads, path=path)
     check_pads(model, pads if expected_pads is None else expected_pads)
     return model
 
@@ -209,12 +207,8 @@ def what_differs(taught: PadArray, pads: PadArray) -> str:
     return " at other places"
 
 
-def _section(arrays: Arrays, prefix: str) -> dict[str, NDArray[Any]]:
-    return {
-        name.removeprefix(prefix): array
-        for name, array in arrays.items()
-        if name.startswith(prefix)
-    }
+def _prefixed(prefix: str, arrays: Arrays) -> dict[str, NDArray[Any]]:
+    return {prefix + name: np.asarray(array) for name, array in arrays.items()}
 
 
 def _header(path: Path, arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:

@@ -1,34 +1,21 @@
 """The taught model of a cell: its objects, its answers, and the drift that it follows."""
 
-import hashlib
-import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, Self
-
-import numpy as np
-from numpy.typing import NDArray
 
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.control.records import GraspRecord, pad_array
-from cell.errors import (
-    CellError,
-    CellStateError,
-    DatasetError,
-    ModelError,
-    TrainingSetMissing,
-    raised_as,
-)
-from cell.files import free_name
-from cell.learning.model import LoadedModel, Trained, check_pads, load_model, save_model
+from cell.errors import CellError, CellStateError, ModelError
+from cell.learning.model import Trained, load_model, save_model
 from cell.learning.shape_reading import shape_reader
 from cell.learning.teaching_summary import Separation, separation
 from cell.learning.training import gaugeable, gauged, train
 from cell.plugins import RECOGNIZERS
-from cell.recording.dataset import read_grasps, write_dataset
+from cell.recording.dataset import read_grasps
 from gripper.values.outcome import GraspResult
 from recognition.drift.drift import Drift, DriftFollowing, DriftGrid, drift_text
 from recognition.grasp import Grasp
@@ -43,90 +30,49 @@ class TaughtModel:
     """A recognizer of taught objects with its data in a running cell.
 
     These are its training set and the shapes of the taught objects. The recognizer follows the
-    drift. One thread changes the model, others may read it. Raises ModelError if the model was
-    trained on other pads, or has another training set.
+    drift. One thread changes the model, others may read it. Raises ModelError if a model file
+    cannot be read, or was trained on other pads.
 
     Parameters
     ----------
     config
         The cell.
-    model
-        A loaded model file; None if nothing was taught yet.
-    training_set
-        The grasps that trained the model; empty if they are not available.
+    path
+        A model file; None if nothing was taught yet.
     """
 
-    def __init__(
-        self,
-        config: CellConfig,
-        model: LoadedModel | None = None,
-        *,
-        training_set: Sequence[Grasp] = (),
-    ) -> None:
+    def __init__(self, config: CellConfig, path: Path | str | None = None) -> None:
         self.config = config
-        self.training_set = tuple(training_set)
+        self.read_grasps: Callable[[], tuple[Grasp, ...]] = tuple
+        """Reads the grasps of the loaded model from its file, once. Raises DatasetError if it
+        cannot be read, and ModelError if another program wrote the file since it was loaded."""
         self.read_shape = shape_reader(config)
         """Reads shape and size from a grasp; None if the config has them off."""
         self._shapes: dict[str, tuple[Grasp, ShapeAnswer | None]] = {}
         self._n_trained = self._n_read = 0
-        self._pads = pad_array(layout_from_config(config.tactile))
+        self._training_set: tuple[Grasp, ...] | None = None
         self._trained: Trained | None = None
-        self._written: tuple[tuple[Grasp, ...], Path] = ((), Path())
         self._drift_remarked = self._zero_remarked = False
         self._times_ns: dict[Path, int | None] = {}
-        """Times of change in ns of the models, and of the data sets beside them, that this program
-        has read or written."""
-        if model is not None:
-            self._times_ns[model.path.resolve()] = _changed_ns(model.path)
-            beside = training_set_file(model.path)
-            if str(model.training_set.get("file")) == beside.name:
-                self._times_ns[beside.resolve()] = _changed_ns(beside)
-            check_pads(model, self._pads)
-            if not _has_trained(model, self.training_set):
-                own, labels = model.training_set.get("file", "its own"), ", ".join(model.labels)
-                raise ModelError(
-                    f"{model.path} ({labels}) was trained with another training set than these "
-                    f"{len(self.training_set)} grasps: name {own}, or none"
-                )
+        """Times of change in ns of the models that this program has read or written."""
+        if path is not None:
+            self._times_ns[Path(path).resolve()] = _changed_ns(Path(path))
+            model = load_model(path, pad_array(layout_from_config(config.tactile)))
             self._trained = model.with_caution(config.recognition.caution)
+            self.read_grasps = cache(partial(self._read_grasps, model.path))
 
-    @classmethod
-    def load(
-        cls,
-        config: CellConfig,
-        path: Path | str,
-        *,
-        training_set: Path | str | None = None,
-        note: Callable[[str], None] = lambda _text: None,
-    ) -> Self:
-        """Read a model file, and its training set if there is one.
+    @property
+    def training_set(self) -> tuple[Grasp, ...]:
+        """The grasps that trained the model, and others; those of a loaded model as `read_grasps`.
 
-        ``training_set`` has the grasps that trained it, and perhaps others. By default, and with a
-        note instead of a wrong one, it is the file beside it that the model names; it is left out
-        with a note if it is damaged. Raises ModelError or DatasetError if another file cannot be
-        read, or does not fit the config.
+        Any thread may read it. Raises as `read_grasps`.
         """
-        model = load_model(path, pad_array(layout_from_config(config.tactile)))
-        grasps = (
-            _saved_training_set(model, note) if training_set is None else read_grasps(training_set)
-        )
-        file = str(model.training_set.get("file"))
-        # People change a file that `save` did not write; one of `save` is checked below.
-        of_save = file == training_set_file(model.path).name
-        if of_save and training_set is None:
-            return cls(config, model, training_set=grasps)
-        # A model may be trained on some objects of a file.
-        own = tuple(grasp for grasp in grasps if of_save or grasp.label in model.labels)
-        if own and _has_trained(model, own):
-            grasps = own
-        elif not _has_trained(model, grasps):
-            if training_set is None:
-                note(f"{file} is no longer what trained {path}: it is not used")
-                grasps = ()
-            else:
-                note(f"{training_set} did not train {path}: takes the data set beside it, if there")
-                grasps = _saved_training_set(model, note) or grasps
-        return cls(config, model, training_set=grasps)
+        return self.read_grasps() if self._training_set is None else self._training_set
+
+    def _read_grasps(self, path: Path) -> tuple[Grasp, ...]:
+        grasps = read_grasps(path)
+        self.check_unchanged(path)
+        return grasps
 
     def check_taught(self) -> Trained:
         """Return the last training, with the followed drift. Raises CellStateError before it."""
@@ -159,14 +105,6 @@ class TaughtModel:
 
     # -- teaching ------------------------------------------------------------------------------
 
-    def check_extendable(self) -> None:
-        """Raise TrainingSetMissing if teaching would lose the objects of a loaded model."""
-        if self._trained is not None and not self.training_set:
-            raise TrainingSetMissing(
-                "name the data set that trained the model when it is loaded, or begin without a "
-                f"model: teaching alone would lose {', '.join(self.labels)}"
-            )
-
     def add(self, grasps: Sequence[Grasp]) -> None:
         """Add labelled grasps to the training set; `train` is to follow.
 
@@ -179,7 +117,7 @@ class TaughtModel:
             grasps = [g if g.zero is not None else drift.undo(g) for g in grasps]
             # The grasps are as before the drift, but of today: the drift belongs to the model now.
             self._with_grid(grid.with_unnamed_as_gauge())
-        self.training_set += tuple(grasps)
+        self._training_set = (*self.training_set, *grasps)
 
     def train(self, needed: str = "", given: tuple[Grasp, ...] | None = None) -> list[str]:
         """Train on the training set, or on what is ``given`` as such; the followed drift is kept.
@@ -200,7 +138,7 @@ class TaughtModel:
         if grid is not None and isinstance(trained.recognizer, DriftFollowing):
             trained = replace(trained, recognizer=trained.recognizer.with_grid(grid))
         self._trained = trained
-        self.training_set = given  # after the model: `save` of another thread may come between
+        self._training_set = given  # after the model: `save` of another thread may come between
         self._n_trained += 1
         return few
 
@@ -222,7 +160,7 @@ class TaughtModel:
         left = tuple(g for index, g in enumerate(before) if index not in gone)
         few = self._too_few(left, needed)
         if all(grasp.label in few for grasp in left):
-            self._trained, self.training_set = None, left
+            self._trained, self._training_set = None, left
             self._drift_remarked = self._zero_remarked = False
             self._n_trained += 1
             return
@@ -346,30 +284,18 @@ class TaughtModel:
     # -- files ---------------------------------------------------------------------------------
 
     def save(self, path: Path | str, *, followed: bool = False) -> None:
-        """Write the model file, and its training set if it is available and not written yet.
+        """Write the model file with its training set.
 
-        The training set goes to ``NAME.grasps.npz`` beside the model; a data set of another
-        model there is renamed. With ``followed`` the model expects the drift followed so far.
-        Raises CellStateError if nothing was taught yet, and ModelError or DatasetError if a file
-        cannot be written, or has changed since this program read or wrote it.
+        With ``followed`` the model expects the drift followed so far. Raises CellStateError if
+        nothing was taught yet. Raises ModelError or DatasetError if the file cannot be written, or
+        has changed since this program read or wrote it.
         """
         path, grasps, trained = Path(path), self.training_set, self.check_taught()
         self.check_unchanged(path)
-        recognizer, training_set = trained.recognizer, trained.training_set
-        if grasps:
-            if self._written != (grasps, dataset := training_set_file(path)):
-                there_ns = _changed_ns(dataset)
-                if there_ns is not None and there_ns != self._times_ns.get(dataset.resolve()):
-                    with raised_as(DatasetError, OSError, where=f"{dataset} cannot be renamed"):
-                        dataset.rename(free_name(dataset))  # it has grasps of another model
-                write_dataset(dataset, grasps)
-                self._written = (grasps, dataset)
-                self._times_ns[dataset.resolve()] = _changed_ns(dataset)
-            training_set = training_set_section(dataset, grasps)
+        recognizer = trained.recognizer
         if followed and isinstance(recognizer, DriftFollowing):
             recognizer = recognizer.with_grid(recognizer.grid.with_unnamed_as_gauge())
-        trained = replace(trained, recognizer=recognizer, training_set=training_set)
-        save_model(path, trained, self._pads)
+        save_model(path, replace(trained, recognizer=recognizer), grasps)
         self._times_ns[path.resolve()] = _changed_ns(path)
 
     def check_unchanged(self, path: Path) -> None:
@@ -384,56 +310,3 @@ class TaughtModel:
 
 def _changed_ns(path: Path) -> int | None:
     return path.stat().st_mtime_ns if path.is_file() else None
-
-
-def training_set_file(model: Path) -> Path:
-    """Return the data set that `TaughtModel.save` writes beside a model file."""
-    return model.with_name(f"{model.stem}.grasps.npz")
-
-
-def training_set_section(file: Path, grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
-    """Return what a model file has of the data set that trained it, in the same folder."""
-    return {
-        "file": np.array(file.name),
-        "sha256": np.array(_checksum(grasps)),
-        "grasps": np.array(len(grasps)),
-    }
-
-
-def _saved_training_set(model: LoadedModel, note: Callable[[str], None]) -> tuple[Grasp, ...]:
-    """Return the training set that was saved with a model, if it is still beside it and sound."""
-    name = str(model.training_set.get("file", ""))
-    path = model.path.parent / name
-    try:
-        return read_grasps(path) if Path(name).name == name and os.path.isfile(path) else ()
-    except DatasetError as error:
-        note(f"{error}: it is not used, and nothing can be taught or forgotten without it")
-        return ()
-
-
-def _has_trained(model: LoadedModel, grasps: Sequence[Grasp]) -> bool:
-    """Return whether the model was trained on the first of these grasps, by labels and checksum.
-
-    True without grasps. Further grasps are accepted: the data set is written first, and the program
-    may have ended before the model was written.
-    """
-    if not grasps:
-        return True
-    labels = {grasp.label for grasp in grasps}
-    section = model.training_set
-    checksum, count = section.get("sha256"), str(section.get("grasps", len(grasps)))
-    n_trained = int(count) if count.isdecimal() and len(count) < 10 else len(grasps)
-    return (
-        labels.issuperset(model.labels)
-        and grasps[0].pads.same_as(model.pads)
-        and (checksum is None or str(checksum) == _checksum(grasps[:n_trained]))
-    )
-
-
-def _checksum(grasps: Sequence[Grasp]) -> str:
-    """Return the SHA-256 of labels, times and frames, which a data set keeps exactly."""
-    digest = hashlib.sha256()
-    for grasp in grasps:
-        digest.update(f"{grasp.label}|{grasp.start_ms}|{grasp.counts.shape}|".encode())
-        digest.update(np.asarray(grasp.counts, dtype="<u2").tobytes())
-    return digest.hexdigest()

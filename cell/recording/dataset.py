@@ -39,12 +39,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.errors import DatasetError, raised_as
-from cell.files import DATASET, check_text, read_npz, savez, write_atomically
+from cell.files import DATASET, array_names, check_text, read_npz, savez, write_atomically
 from cell.recording.grasp_limits import RANGES, check_range, check_sizes, check_times
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS, Grasp, GraspCommand, PadArray, SelfZero
 
 DATASET_LIMIT_BYTES = 1 << 30
 """Default limit of the unpacked size of a data set in bytes."""
+IN_MODEL = "grasps."
+"""Prefix of the arrays of a data set in a model file."""
 
 
 class _Array(NamedTuple):
@@ -91,10 +93,12 @@ _AXES = {"xy": 2, **{name: len(columns) for name, (columns, _) in _RECORDS.items
 """Length of the axes that are the same in all data sets."""
 
 
-def read_dataset(path: Path | str, *, limit_bytes: int = DATASET_LIMIT_BYTES) -> tuple[Grasp, ...]:
+def read_dataset(
+    path: Path | str, *, limit_bytes: int = DATASET_LIMIT_BYTES, prefix: str = ""
+) -> tuple[Grasp, ...]:
     """Read all grasps of a data set that unpacks to at most ``limit_bytes`` bytes.
 
-    They share one `PadArray` object.
+    They share one `PadArray` object. With the ``prefix`` `IN_MODEL` it is the data set in a model.
 
     Raises
     ------
@@ -102,12 +106,19 @@ def read_dataset(path: Path | str, *, limit_bytes: int = DATASET_LIMIT_BYTES) ->
         Naming the file, the array, the value and the limit.
     """
     path = Path(path)
-    arrays = read_npz(path, error=DatasetError, what="grasp data set", limit_bytes=limit_bytes)
+    named = read_npz(
+        path,
+        error=DatasetError,
+        what="grasp data set",
+        limit_bytes=limit_bytes,
+        wanted=lambda name: name.startswith(prefix),
+    )
+    arrays = {name.removeprefix(prefix): array for name, array in named.items()}
     if "format" in arrays:
         DATASET.check(str(arrays["format"]), path, DatasetError)
     stored = {array.stored: array.optional for array in _ARRAYS.values()}
     missing = [name for name, optional in stored.items() if name not in arrays and not optional]
-    if missing and "model" in arrays:
+    if missing and (prefix or "model" in arrays):
         raise DatasetError(f"{path} is a model, not a data set: name another file")
     if missing:
         raise DatasetError(f"{path} is not a grasp data set: {', '.join(missing)} missing")
@@ -119,14 +130,14 @@ def read_dataset(path: Path | str, *, limit_bytes: int = DATASET_LIMIT_BYTES) ->
 
 
 def read_grasps(path: Path | str) -> tuple[Grasp, ...]:
-    """Read the grasps of a data set, or of a recording if the file is an ``.mcap``.
+    """Read the grasps of a data set or model, or of a recording if the file is an ``.mcap``.
 
     Raises DatasetError or cell.errors.RecordingError if the file cannot be read, or has no whole
     grasp.
     """
     path = Path(path)
     if path.suffix != ".mcap":
-        return read_dataset(path)
+        return read_dataset(path, prefix=IN_MODEL if "model" in array_names(path) else "")
     from cell.recording.reader import recording_grasps  # noqa: PLC0415  slow to load
 
     return recording_grasps(path)
@@ -135,23 +146,31 @@ def read_grasps(path: Path | str) -> tuple[Grasp, ...]:
 def write_dataset(path: Path | str, grasps: Sequence[Grasp]) -> None:
     """Write grasps as one data set, whole or not at all; an older file stays until then.
 
-    Raises DatasetError if there is no grasp, the pads differ, a text cannot be stored, it would be
-    too long to be read again, or the write fails.
+    Raises DatasetError as `dataset_arrays`, or if the write fails.
     """
-    path = Path(path)
+    path, arrays = Path(path), dataset_arrays(path, grasps)
+    write_atomically(
+        path, lambda file: savez(file, arrays), error=DatasetError, what="grasp data set"
+    )
+
+
+def dataset_arrays(path: Path | str, grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a data set for a file.
+
+    Raises DatasetError if there is no grasp, the pads differ, a text cannot be stored, or it would
+    be too long to be read again.
+    """
     if not grasps:
-        raise DatasetError(f"cannot write data set {path}: there is no grasp to write")
-    with raised_as(DatasetError, ValueError, where=f"cannot write data set {path}"):
+        raise DatasetError(f"cannot write {path}: there is no grasp to write")
+    with raised_as(DatasetError, ValueError, where=f"cannot write {path}"):
         arrays = _arrays_of(grasps)
         _grasps_of(arrays)
         if (size := sum(array.nbytes for array in arrays.values())) > DATASET_LIMIT_BYTES:
             raise ValueError(
                 f"it would unpack to {size} bytes, the limit is {DATASET_LIMIT_BYTES}; write the "
-                "new grasps to another file"
+                "new grasps to another file, or select fewer"
             )
-    write_atomically(
-        path, lambda file: savez(file, arrays), error=DatasetError, what="grasp data set"
-    )
+    return arrays
 
 
 def _arrays_of(grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:

@@ -385,11 +385,9 @@ def _facts(config: CellConfig | None, pads: PadArray) -> dict[str, str]:
 
 
 def _files(recording: Recording) -> dict[str, str]:
-    """Return the recording and the files that `run` writes beside it."""
-    names = {"Data set": "model.grasps.npz", "Model": "model.npz"}
-    files = {what: recording.path.with_name(name) for what, name in names.items()}
-    there = {what: str(file) for what, file in files.items() if file.is_file()}
-    return {"Recording": str(recording.path)} | there
+    """Return the recording and the model that `run` writes beside it."""
+    model = recording.path.with_name("model.npz")
+    return {"Recording": str(recording.path)} | ({"Model": str(model)} if model.is_file() else {})
 
 
 def _notes(recording: Recording, config: CellConfig | None, *, compared: bool) -> list[str]:

@@ -12,7 +12,6 @@ from cell.config.model import CellConfig
 from cell.control.identification import Identification
 from cell.control.part import Part
 from cell.learning.parallel import Progress, one_blas_thread
-from cell.learning.taught_model import training_set_file
 from cell.learning.training import train
 from cell.report.confusion import BASELINE, ConfusionTable, score_tables
 from cell.runtime.goals import IdentifyGoal, TeachGoal
@@ -40,7 +39,6 @@ class MainResult:
     parts: tuple[Part, ...]
     trials: tuple[Identification, ...]
     """The parts of known objects, in order, and their grasps."""
-    dataset: Path
     model: Path
     recording: Path | None
     """Files; None for no recording."""
@@ -61,7 +59,7 @@ class MainResult:
         """Return what ``--json`` writes."""
         n_grasps = [float(part.n_grasps) for part in self.parts] or [0.0]
         names = ("seconds", "n_taught", "labels", "default", "remarks")
-        files = ("report", "recording", "dataset", "model")
+        files = ("report", "recording", "model")
         return {
             **{name: getattr(self, name) for name in (*names, *files)},
             "n_trials": len(self.parts),
@@ -89,7 +87,7 @@ def teach_and_identify(
     folder: Path,
     progress: Progress,
 ) -> MainResult:
-    """Teach each object, train, identify each object ``n_trials`` times; write data set and model.
+    """Teach each object, train, identify each object ``n_trials`` times; write the model.
 
     Plans of teaching and identifying have different seeds,
     so no pose and force repeats. Ramps are whole: all recognizers get the same grasps.
@@ -132,7 +130,6 @@ def teach_and_identify(
         ),
         parts=tuple(parts),
         trials=tuple(trials),
-        dataset=training_set_file(model),
         model=model,
         recording=plugin.recording_path,
         drift=plugin.model.drift,

@@ -101,7 +101,6 @@ class TactileCellPlugin:
         mover: Callable[[Pose], Pose | bool | None] | None = None,
         places: "CarryCallback | None" = None,
         model: Path | str | None = None,
-        training_set: Path | str | None = None,
         folder: Path | None = None,
         save: Path | str | None = None,
         ask: Callable[[str], str] | None = None,
@@ -123,9 +122,6 @@ class TactileCellPlugin:
         model
             File of a taught model, written by `save` or ``tactile-cell model train``; without
             a model, teach first.
-        training_set
-            Data set of the grasps that trained the model, needed to teach further objects; by
-            default the data set that `save` wrote beside it.
         folder
             Folder of the recording; None: no recording.
         save
@@ -142,7 +138,7 @@ class TactileCellPlugin:
 
         Raises
         ------
-        ConfigError, ModelError, DatasetError, CellError
+        ConfigError, ModelError, CellError
             Before any hardware is touched.
         gripper.errors.GripperError, tactile.errors.TactileError
             If a device is missing or differs from the config. A servo at fault, or a part that an
@@ -170,11 +166,7 @@ class TactileCellPlugin:
         self._health = health_values
         self._levels: dict[str, Any] = {}
         self._health_s = -inf
-        self.model = (
-            TaughtModel(checked)
-            if model is None
-            else TaughtModel.load(checked, model, training_set=training_set, note=note)
-        )
+        self.model = TaughtModel(checked, model)
         """What is taught; only the thread of the plugin changes it."""
         _check_save(save, model)
         self._file = tasks.ModelFile(self.model, None if save is None else Path(save))
@@ -380,9 +372,8 @@ class TactileCellPlugin:
             taught part has no place for a sort. If the simulated cell does not have a named part.
         CellStateError
             If another job runs, the cell is not IDLE (for a verify: not COMPLETE) or is being
-            closed, or nothing was taught yet. If the training set of a loaded model is not
-            available, because teaching would lose its objects. If nothing is between the fingers of
-            the simulated cell and the goal names no part for it.
+            closed, or nothing was taught yet. If nothing is between the fingers of the simulated
+            cell and the goal names no part for it.
         """
         checked = checked_goal(goal)
         self._check_task(checked.task)
@@ -444,9 +435,7 @@ class TactileCellPlugin:
 
     def _check_task(self, task: str) -> None:
         """Raise CellError if the config or the taught objects do not allow a task."""
-        if task == "teach":
-            self.model.check_extendable()
-        elif task == "zero":
+        if task == "zero":
             self.cell.controller.zeros.check()
         elif task == "gauge":
             self.model.check_gauge()
@@ -479,9 +468,10 @@ class TactileCellPlugin:
         RequestRefused
             If it is not taught.
         CellStateError
-            If its grasps are not available, or the cell is not IDLE.
+            If the cell is not IDLE.
+        ModelError, DatasetError
+            If its grasps cannot be read from the file of the loaded model.
         """
-        self.model.check_extendable()
         taught = self.model.objects()
         label = label if label in taught else normalize("NFC", label)
         if label not in taught:
@@ -690,17 +680,17 @@ class TactileCellPlugin:
         return self._simulation
 
     def save(self, path: Path | str, *, followed: bool = False) -> None:
-        """Write the taught model, and its training set as a data set beside it.
+        """Write the taught model with its training set, so that it can be taught further.
 
-        A plugin that loads both files can teach further objects. ``followed``: the model expects
-        the drift that this program has followed, for the rest of a shift.
+        ``followed``: the model expects the drift that this program has followed, for the rest of a
+        shift.
 
         Raises
         ------
         CellStateError
             If nothing was taught yet.
         ModelError, DatasetError
-            If a file cannot be written.
+            If the file cannot be written.
         """
         self.model.save(path, followed=followed)
 
@@ -865,16 +855,13 @@ def cell_values(config: CellConfig, layout: "TaxelLayout") -> dict[str, Any]:
 
 def _check_save(save: Path | str | None, model: Path | str | None) -> None:
     """Raise ConfigError if a teaching would replace a file that is not the loaded model."""
-    from cell.learning.taught_model import training_set_file  # noqa: PLC0415
-
     if save is None or (model is not None and Path(save).resolve() == Path(model).resolve()):
         return
-    for path in (Path(save), training_set_file(Path(save))):
-        if path.exists():
-            raise ConfigError(
-                f"{path} exists, and a teaching would replace it: load it (`--model {save}`), or "
-                "save to another file"
-            )
+    if Path(save).exists():
+        raise ConfigError(
+            f"{save} exists, and a teaching would replace it: load it (`--model {save}`), or "
+            "save to another file"
+        )
 
 
 def _write_remarks(controller: "CellController", remarks: deque[tuple[str, str]]) -> None:

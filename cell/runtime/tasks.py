@@ -23,7 +23,7 @@ from cell.control.records import GraspRecord
 from cell.control.zeroing import zero_text
 from cell.errors import CellError, ConfigError, ModelError, NoPartFound, raised_as
 from cell.learning.parallel import one_blas_thread
-from cell.learning.taught_model import TaughtModel, training_set_file
+from cell.learning.taught_model import TaughtModel
 from cell.learning.teaching_summary import zero_note
 from cell.runtime.goals import (
     GaugeGoal,
@@ -178,7 +178,7 @@ class ModelFile:
     def write(self, unsaved: str = "") -> None:
         """Write the model if it changed since the last write.
 
-        Raises ModelError or DatasetError if a file cannot be written; the write stays pending.
+        Raises ModelError or DatasetError if it cannot be written; the write stays pending.
         Their text begins with ``unsaved``, which says what counts although the file lacks it.
         """
         try:
@@ -199,7 +199,6 @@ class ModelFile:
             self.model.check_unchanged(path)
             with raised_as(ModelError, OSError, where=f"{path} cannot be removed"):
                 path.unlink(missing_ok=True)
-                training_set_file(path).unlink(missing_ok=True)
 
     def forget(self, label: str, *, last: bool) -> None:
         """Forget a taught object, or its newest grasp with ``last``, and write the model.
@@ -302,11 +301,12 @@ class Tasks:
         cell.errors.NoPartFound, cell.errors.CellStopped, and errors of the devices
             As `Collection.fill`; the next teaching uses the grasps until then.
         CellError
-            If there are too few taught grasps for a training; they are kept too. CellStateError if
-            the training set of the loaded model is not available: its objects would be lost.
+            If there are too few taught grasps for a training; they are kept too.
         ModelError, DatasetError
-            If the model cannot be written; it is in use.
+            If the model cannot be written; it is in use. If the grasps of the loaded model cannot
+            be read; nothing has moved then.
         """
+        self.model.read_grasps()
         self.file.due = True
         collection = Collection(label=goal.label, n_planned=goal.grasps, present=goal.present)
         try:

@@ -613,6 +613,11 @@ def open_service(
         **cell,
     )
     folder = state_folder(config, cell.get("folder"))
+    try:
+        plugin.model.read_grasps()  # a service outlives changes of the file
+    except CellError:
+        plugin.close()
+        raise
     return Service(
         plugin,
         config,

@@ -43,7 +43,7 @@ def main(scheduler, recordings, archive, model):
         for name, share in right.items():
             print(f"{name}: {share:.1%} of the grasps of new days named rightly")
         best = max(right, key=right.__getitem__)
-        save_model(Path(model), models[best], grasps[0].pads)
+        save_model(Path(model), models[best], grasps)
         print(f"{best}: {model}")
 
 

@@ -13,7 +13,7 @@ import pytest
 from cell.build import build_cell
 from cell.config.model import CellConfig
 from cell.control.zeroing import Zeroing, zero_text
-from cell.recording.dataset import read_dataset
+from cell.recording.dataset import read_grasps
 from cell.runtime.main_job import MainResult, teach_and_identify
 from cell.runtime.plugin import TactileCellPlugin
 from recognition.drift.self_zero import ZeroMeasurement
@@ -123,7 +123,7 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Taught:
             folder=folder,
             progress=lambda *step: progress.append(step),
         )
-    return Taught(config, result, read_dataset(result.dataset), tuple(progress))
+    return Taught(config, result, read_grasps(result.model), tuple(progress))
 
 
 @pytest.fixture

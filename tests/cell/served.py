@@ -279,7 +279,7 @@ class StubPlugin(TactileCellPlugin):
         model = StubModel(config=config, taught=taught, revision=0)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("cell.build.build_cell", lambda *_config, **_options: stub_cell(config))
-            patch.setattr("cell.learning.taught_model.TaughtModel", lambda _config: model)
+            patch.setattr("cell.learning.taught_model.TaughtModel", lambda *_: model)
             patch.setattr("cell.runtime.tasks.Tasks", StubTasks)
             super().__init__(config)
         self.cell.controller.hand.request_stop.side_effect = self._tasks.going.set

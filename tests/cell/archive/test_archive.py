@@ -127,9 +127,7 @@ def test_a_data_set_beside_its_recording_and_a_copy_add_nothing(fleet, tmp_path)
     shutil.copy(recording, tmp_path / "job" / "recording.mcap")
     shutil.copy(recording, tmp_path / "copy.mcap")
     taught = recording_grasps(recording)
-    write_dataset(
-        tmp_path / "job" / "model.grasps.npz", [*taught, ramp("pen", np.random.default_rng(1))]
-    )
+    write_dataset(tmp_path / "job" / "parts.npz", [*taught, ramp("pen", np.random.default_rng(1))])
     done = add(str(tmp_path / "archive"), sources([tmp_path]))
     assert (done.n_files, done.n_there) == (2, 1)
     assert (done.n_grasps, done.n_before) == (7, 6)

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import Mock, create_autospec
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -106,7 +105,7 @@ def quick(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def dataset(taught: Any) -> Path:
-    return taught.result.dataset
+    return taught.result.model
 
 
 @pytest.fixture
@@ -144,7 +143,7 @@ def test_run_shows_and_writes_what_the_job_returns(quick, tmp_path, main_job, mo
     assert data["health"]["tactile"]["lost"] == 0
     for name, file in (("report", "report.html"), ("recording", "recording.mcap")):
         assert data[name] == str(asked["folder"] / file)
-    for name in ("report", "dataset", "model"):
+    for name in ("report", "model"):
         assert Path(data[name]).stat().st_size > 1000
         assert data[name] in text
     assert "This cell, all grasps: " in text
@@ -187,7 +186,7 @@ def test_teach_extends_a_data_set_with_other_poses(quick, tmp_path) -> None:
 
 
 def test_teach_finds_out_before_the_first_grasp_where_it_cannot_write(
-    config, dataset, tmp_path, fail
+    config, dataset, taught, tmp_path, fail
 ) -> None:
     out = ("--out", tmp_path / "out")
     assert "must end with .json" in fail("identify", dataset, "--json", dataset, code=2)
@@ -195,8 +194,8 @@ def test_teach_finds_out_before_the_first_grasp_where_it_cannot_write(
         said = fail(*command, tmp_path / "gone" / "d.npz", "-c", config, *out, code=2)
         assert "make it first" in " ".join(said.split())
     other = tmp_path / "other.npz"
-    with np.load(dataset) as arrays:
-        np.savez(other, **{**arrays, "adc_max": np.array(4095)})
+    pads = replace(taught.grasps[0].pads, adc_max=4095)
+    write_dataset(other, [replace(grasp, pads=pads) for grasp in taught.grasps])
     said = fail("teach", "box", "-o", other, "-c", config, *out)
     assert "a full scale of 255 instead of 4095" in said
     assert not (tmp_path / "out").exists()
@@ -501,9 +500,10 @@ def files(tmp_path_factory: Any, taught: Any, small_text: str) -> dict[str, Path
     for name, text in texts.items():
         paths[name] = folder / f"{name}.yaml"
         paths[name].write_text(text)
-    given = {name: getattr(taught.result, name) for name in ("dataset", "model", "recording")}
+    given = {name: getattr(taught.result, name) for name in ("model", "recording")}
+    given["dataset"] = given["model"]
     given["level"] = folder / "level.npz"
-    save_model(given["level"], train(taught.grasps, "level_check"), taught.grasps[0].pads)
+    save_model(given["level"], train(taught.grasps, "level_check"), taught.grasps)
     return paths | given | {"real": EXAMPLES / "paper-gripper.yaml"}
 
 

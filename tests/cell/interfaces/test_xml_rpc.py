@@ -19,7 +19,7 @@ from xmlrpc.client import Fault, ProtocolError, ServerProxy, dumps, loads
 import pytest
 
 from cell.control.plan import Pose
-from cell.errors import TrainingSetMissing
+from cell.errors import TooFewGrasps
 from cell.interfaces.xml_rpc import METHODS, ur_pose
 from gripper.errors import PartSlipped
 from tests.cell.interfaces.hosts import Client
@@ -169,13 +169,13 @@ def test_the_last_refusal_of_each_address_says_why(connect) -> None:
     served, cell = connect()
     assert cell.last_refusal() == ""
     lease = cell.acquire("robot")
-    missing = "name the data set that trained the model when it is loaded, or begin without one"
+    missing = "box has 1 grasp"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(served.plugin, "start", raising(TrainingSetMissing(missing)))
-        assert cell.teach(lease, "box", 1) == -517
+        patch.setattr(served.plugin, "start", raising(TooFewGrasps(missing)))
+        assert cell.teach(lease, "box", 1) == -519
     refusal = cell.last_refusal()
-    assert refusal.startswith(f"517: {missing}")
-    assert refusal.endswith("Start serve with --training-set, or teach without --model.")
+    assert refusal.startswith(f"519: {missing}")
+    assert refusal.endswith("Teach more grasps.")
     assert cell.job_state(cell.shutdown(lease)) == 4
     assert cell.force() == -516.0  # no refusal: nothing is measured
     assert cell.last_refusal() == refusal

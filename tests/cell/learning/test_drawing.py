@@ -206,7 +206,7 @@ def test_grasps_that_stand_twice_are_noted(taught, tmp_path) -> None:
         command = ["model", *map(str, arguments), "--recognizer", "level_check"]
         return CliRunner().invoke(app, command).output
 
-    path, trained = taught.result.dataset, ("-o", tmp_path / "m.npz")
+    path, trained = taught.result.model, ("-o", tmp_path / "m.npz")
     assert "NOTE: 10 of 20 grasps occur twice" in noted("train", path, path, *trained)
     assert "occur twice" not in noted("train", path, *trained)
     assert "NOTE: 10 grasps were taught" in noted("evaluate", path, "--train", path, "--fuse", "1")

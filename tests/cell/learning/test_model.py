@@ -24,6 +24,7 @@ from cell.learning.parallel import workers
 from cell.learning.taught_model import TaughtModel
 from cell.learning.teaching_summary import Separation, separation, teaching_notes
 from cell.learning.training import calibrate_model, identify_recorded, train
+from cell.recording.dataset import read_grasps
 from cell.recording.reader import read_recording
 from cell.runtime import tasks
 from cell.runtime.goals import IdentifyGoal, TeachGoal
@@ -42,30 +43,33 @@ from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheck
 from recognition.statistics.fusion import Decision, DecisionKind, StopRule
 from tests.cell.cells import REAL, SURE, UNSURE, Scripted, call, plain_grasp, small_config
 from tests.cell.served import done
-from tests.fuzz.harness import Clock
+from tests.fuzz.harness import Clock, same_grasps
 from tests.recognition.conftest import OBJECTS, make_grasps
 from tests.values import make_pads, raising
 
 PADS = make_pads(shapes=((8, 5), (8, 5)), adc_max=255)
 
 
-def trained(recognizer: Any, name: str = "level_check", **more: Any) -> Trained:
-    return Trained(recognizer=recognizer, trainer_name=name, **more)
+GRASPS = make_grasps(4, seed=1, pads=PADS, objects=OBJECTS[:2])
+
+
+def trained(recognizer: Any, name: str = "level_check") -> Trained:
+    return Trained(recognizer=recognizer, trainer_name=name)
 
 
 @pytest.fixture(scope="module")
 def learnt() -> LevelCheckRecognizer:
-    return LevelCheckTrainer().fit(make_grasps(4, seed=1, pads=PADS, objects=OBJECTS[:2]))
+    return LevelCheckTrainer().fit(GRASPS)
 
 
 @pytest.fixture(scope="module")
 def good(learnt: LevelCheckRecognizer, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("model") / "model.npz"
-    save_model(path, trained(learnt), PADS)
+    save_model(path, trained(learnt), GRASPS)
     return path
 
 
-def test_loaded_model_answers_like_the_taught_one(learnt, good, tmp_path) -> None:
+def test_loaded_model_answers_like_the_taught_one(learnt, good) -> None:
     loaded = load_model(good, PADS)
     assert (loaded.labels, loaded.trainer_name) == (("bar", "block"), "level_check")
     assert loaded.pads.same_as(PADS)
@@ -73,15 +77,11 @@ def test_loaded_model_answers_like_the_taught_one(learnt, good, tmp_path) -> Non
         was, now = learnt.posterior(grasp), loaded.recognizer.posterior(grasp)
         np.testing.assert_array_equal(now.probability, was.probability)
         assert now.unknown == was.unknown
-    section = {"file": np.array("a.npz")}
-    save_model(tmp_path / "more.npz", trained(learnt, training_set=section), PADS)
-    assert load_model(tmp_path / "more.npz", PADS).training_set == section
-    assert loaded.training_set == {}
     # The file is plain arrays and JSON.
     with np.load(good, allow_pickle=False) as archive:
         header = json.loads(str(archive["model"]))
         assert all(archive[name].dtype.kind in "biufU" for name in archive.files)
-    assert (header["format"], len(header["sha256"])) == ("tactile-cell-model/1", 64)
+    assert (header["format"], len(header["sha256"])) == ("tactile-cell-model/2", 64)
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_changed_model_is_refused(change, says, good, tmp_path) -> None:
 def test_model_of_another_version_is_refused(change, says, learnt, tmp_path, monkeypatch) -> None:
     arrays = {n: a for n, a in (learnt.to_arrays() | change).items() if a is not None}
     monkeypatch.setattr(LevelCheckRecognizer, "to_arrays", lambda _self: arrays)
-    save_model(tmp_path / "m.npz", trained(learnt), PADS)
+    save_model(tmp_path / "m.npz", trained(learnt), GRASPS)
     with pytest.raises(ModelError, match=rf"does not fit tactile-cell.*{says}.*train it again"):
         load_model(tmp_path / "m.npz")
 
@@ -159,7 +159,7 @@ def test_recognizer_of_unknown_kind_is_not_written(learnt, tmp_path) -> None:
         (learnt, "force_ramp", "has no recognizer named"),
     ):
         with pytest.raises(ModelError, match=says):
-            save_model(tmp_path / "m.npz", trained(recognizer, name), PADS)
+            save_model(tmp_path / "m.npz", trained(recognizer, name), GRASPS)
     assert not list(tmp_path.iterdir())
 
 
@@ -167,15 +167,15 @@ def test_a_model_replaces_no_data_set(learnt, tmp_path) -> None:
     np.savez(tmp_path / "m.npz", grasp_offsets=np.zeros(3))
     before = (tmp_path / "m.npz").read_bytes()
     with pytest.raises(ModelError, match="a model would replace its grasps"):
-        save_model(tmp_path / "m.npz", trained(learnt), PADS)
+        save_model(tmp_path / "m.npz", trained(learnt), GRASPS)
     assert (tmp_path / "m.npz").read_bytes() == before
     (tmp_path / "m.npz").write_bytes(before.replace(b"PK\x01\x02", b"PK\x01\x03"))  # damaged
-    save_model(tmp_path / "m.npz", trained(learnt), PADS)
+    save_model(tmp_path / "m.npz", trained(learnt), GRASPS)
     os.mkfifo(tmp_path / "pipe.npz")
     (tmp_path / "m.npz").chmod(0o444)
     for name, why in (("pipe.npz", "not a plain file"), ("m.npz", "write-protected")):
         with pytest.raises(ModelError, match=why):
-            save_model(tmp_path / name, trained(learnt), PADS)
+            save_model(tmp_path / name, trained(learnt), GRASPS)
 
 
 # -- What a teaching does not show is named, and what a taught model shows of its objects ----------
@@ -228,7 +228,7 @@ def test_grasps_without_a_self_zero_among_others_are_named() -> None:
 @pytest.fixture
 def model(taught: Any) -> TaughtModel:
     """Ball and box, five grasps each."""
-    return TaughtModel.load(taught.config, taught.result.model)
+    return TaughtModel(taught.config, taught.result.model)
 
 
 def test_objects_have_their_grasps_and_the_size_of_the_newest_three(model) -> None:
@@ -262,14 +262,8 @@ def test_a_model_saved_while_an_object_is_forgotten_can_be_loaded(model, tmp_pat
 
     monkeypatch.setattr("cell.learning.taught_model.train", save_before)
     model.forget("box")
-    assert TaughtModel.load(model.config, tmp_path / "m.npz").labels == ("ball", "box")
-
-
-def test_a_data_set_of_an_earlier_model_is_renamed_once(model, tmp_path) -> None:
-    (tmp_path / "m.grasps.npz").write_bytes(b"an earlier model's")
-    for name in ("m.npz", "other.npz", "m.npz"):
-        model.save(tmp_path / name)
-    assert [kept.read_bytes() for kept in tmp_path.glob("*.1.npz")] == [b"an earlier model's"]
+    objects = TaughtModel(model.config, tmp_path / "m.npz").objects()
+    assert objects == {"ball": (5, None), "box": (5, None)}
 
 
 @dataclass
@@ -341,7 +335,8 @@ def test_training_and_answering_have_one_thread(make_bench, taught, monkeypatch)
     noting: Any = Scripted(SURE, look=threads)
     noting.fit = lambda _grasps: noting.seen.append(threads()) or noting
     monkeypatch.setattr("cell.learning.training.RECOGNIZERS", {"force_ramp": lambda **_: noting})
-    model = TaughtModel(taught.config, training_set=taught.grasps)
+    model = TaughtModel(taught.config)
+    model.add(taught.grasps)
     bench = make_bench(taught.config)
     bench.controller.start()
     with threadpool_limits(HOST_THREADS, user_api="blas"):
@@ -521,15 +516,13 @@ def test_the_recording_names_the_drift_of_each_answer(taught) -> None:
     assert not taught.result.as_json()["remarks"]
 
 
-def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught) -> None:
+def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught, tmp_path) -> None:
     model = load_model(taught.result.model)
     drift = Drift(gains=(0.8,), aperture_offset_m=-1e-3)
     balls = [drift.apply(grasp) for grasp in taught.grasps if grasp.label == "ball"]
-    gauged = TaughtModel(
-        taught.config,
-        replace(model, recognizer=calibrate_model(model, {"ball": balls})),
-        training_set=taught.grasps,
-    )
+    after = replace(model, recognizer=calibrate_model(model, {"ball": balls}))
+    save_model(tmp_path / "m.npz", after, taught.grasps)
+    gauged = TaughtModel(taught.config, tmp_path / "m.npz")
     before = gauged.drift.drift
     assert before.aperture_offset_m < -0.3e-3
     gauged.train()
@@ -542,29 +535,24 @@ def test_what_is_taught_beside_a_gauged_model_keeps_the_gauge(taught) -> None:
 @pytest.mark.usefixtures("made_up_zero")
 def test_a_model_that_was_taught_without_a_self_zero_is_named_once(taught, make_bench) -> None:
     bench = make_bench(small_config(self_zero="always")).ready()
-    model = TaughtModel.load(bench.config, taught.result.model)
+    model = TaughtModel(bench.config, taught.result.model)
     goal = {"present": "ball", "max_grasps": 1}
     first, second = (named(bench.controller, model, **goal)[1] for _ in range(2))
     assert "was taught without a self-zero" in first
     assert "without a self-zero" not in second
 
 
-@pytest.mark.parametrize(("label", "recorded"), [("ball", False), ("box", True)])
-def test_a_model_of_some_objects_of_a_file_takes_only_these_from_it(
-    taught, tmp_path, label, recorded
+def test_a_model_has_the_selected_grasps_of_its_data_sets_for_further_models(
+    taught, tmp_path
 ) -> None:
-    file = tmp_path / ("all.mcap" if recorded else "all.npz")
-    file.write_bytes((taught.result.recording if recorded else taught.result.dataset).read_bytes())
-    call("model", "train", file, "--object", label, "-o", tmp_path / "one.npz")
-    model = TaughtModel.load(taught.config, tmp_path / "one.npz", note=pytest.fail)
-    model.save(tmp_path / "again.npz")
-    model.save(tmp_path / "third.npz")
-    (tmp_path / "again.grasps.npz").unlink()
-    third = TaughtModel.load(taught.config, tmp_path / "third.npz")
-    assert {name: n for name, (n, _) in third.objects().items()} == {label: 5}
-    (tmp_path / "third.grasps.npz").write_bytes(b"PK")
-    TaughtModel.load(taught.config, tmp_path / "third.npz", note=(notes := list[str]()).append)
-    assert "third.grasps.npz" in notes[0]
+    one, path = tmp_path / "one.npz", taught.result.model
+    call("model", "train", taught.result.recording, "--object", "box", "-o", one)
+    assert TaughtModel(taught.config, one).objects() == {"box": (5, None)}
+    # A model of older features is trained again from itself, here with another model.
+    call("model", "train", one, path, "--recognizer", "level_check", "-o", one)
+    assert TaughtModel(taught.config, one).objects() == {"box": (10, None), "ball": (5, None)}
+    call("model", "calibrate", path, "--gauge", "ball", "-m", path, "-o", one)
+    assert same_grasps(read_grasps(one), taught.grasps)
 
 
 # -- Ramps that end as soon as the data so far suffice ---------------------------------------------
@@ -655,7 +643,8 @@ def test_a_check_that_fails_is_a_complaint_and_the_ramp_goes_on(bench) -> None:
 def test_by_touch_alone_and_for_other_kinds_ramps_are_whole(taught) -> None:
     for name, use_aperture in (("force_ramp", True), ("level_check", True), ("force_ramp", False)):
         changes = {"recognition.recognizer": name, "recognition.use_aperture": use_aperture}
-        model = TaughtModel(changed_config(taught.config, changes), training_set=taught.grasps)
+        model = TaughtModel(changed_config(taught.config, changes))
+        model.add(taught.grasps)
         model.train()
         assert model.ends_early is (name == "force_ramp" and use_aperture)
 

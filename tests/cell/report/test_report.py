@@ -307,7 +307,7 @@ def test_figures_tables_and_files_of_a_run(recording, report, taught) -> None:
     assert "XM430-W350 (id 1)" in facts["Cell"]["Servos"]
     assert facts["Files"] == {
         name: str(getattr(taught.result, key))
-        for name, key in (("Recording", "recording"), ("Data set", "dataset"), ("Model", "model"))
+        for name, key in (("Recording", "recording"), ("Model", "model"))
     }
     assert "Simulated cell" in report.sections["notes"]["notes"][-1]
     assert [*report.sections["health"]["groups"]] == ["Tactile frames", "Servo bus", "Force loop"]

@@ -102,7 +102,7 @@ def drifted(taught: Any, tmp_path: Path) -> Path:
 
 def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(taught, tmp_path) -> None:
     balls = [grasp for grasp in taught.grasps if grasp.label == "ball"]
-    model = TaughtModel.load(taught.config, taught.result.model)
+    model = TaughtModel(taught.config, taught.result.model)
     path, told = tmp_path / "gauged.npz", list[Any]()
     goal = GaugeGoal(label="ball", grasps=len(balls))
     report = Report(1, lambda **now: told.append(now["progress"]))
@@ -139,7 +139,7 @@ def test_what_cannot_be_gauged_or_followed_says_why(taught, drifted, tmp_path) -
     old = [replace(grasp, zero=zero, start_ms=0) for grasp in taught.grasps[:5]]
     write_dataset(tmp_path / "old.npz", [*old, *taught.grasps[5:]])
     for arguments, error, complaint in (
-        ((taught.result.dataset, "--gauge", "ghost"), CellError, "no 'ghost', but 'ball', 'box'"),
+        ((taught.result.model, "--gauge", "ghost"), CellError, "no 'ghost', but 'ball', 'box'"),
         ((tmp_path / "old.npz", "--gauge", "ball"), CellError, "no 'ball', but 'box'"),
         ((tmp_path / "few.npz",), CellError, "4 grasps are too few for a drift"),
         ((), ConfigError, "--gauge"),
@@ -242,7 +242,7 @@ def test_json_has_what_was_promised(taught) -> None:
     assert [one["shape"] for one in identifications] == kinds
     assert kinds[0] in ("sphere", "oval")  # one ball in forty is felt as an oval
     assert kinds[1] == "flat"
-    for name in ("recording", "dataset", "model"):
+    for name in ("recording", "model"):
         assert Path(data[name]).is_file()
     assert data["report"] is None
     assert baseline(BASELINE, ()) == {}, "as default it is trained once"

@@ -23,9 +23,8 @@ from cell.interfaces.cli.session import (
 )
 from cell.interfaces.cli.terminal import percent, print_line, print_note, progress_bar, show
 from cell.learning.labelled_grasps import distinct_grasps
-from cell.learning.model import LAST_MODEL, load_model, save_model
+from cell.learning.model import LAST_MODEL, check_pads, load_model, save_model
 from cell.learning.parallel import workers
-from cell.learning.taught_model import training_set_section
 from cell.learning.teaching_summary import teaching_notes
 from cell.learning.training import calibrate_model, follow_shift, gaugeable, train as train_model
 from cell.recording.dataset import read_grasps
@@ -61,10 +60,7 @@ def train(
     if any(map(is_archive, datasets)):
         trained, prior = with_spread(trained, grasps)
     labels = trained.recognizer.labels
-    file = Path(datasets[0]).absolute()
-    if len(datasets) == 1 and file.parent == model.absolute().parent:
-        trained = replace(trained, training_set=training_set_section(file, grasps))
-    save_model(model, trained, grasps[0].pads)
+    save_model(model, trained, grasps)
     last = model.with_name(LAST_MODEL)
     write_text(last, f"{model.name}\n", error=CellError, what="name of the last model")
     lines = [
@@ -121,10 +117,10 @@ def calibrate(
     if (model := model_of_folder(model)) is None:
         raise ConfigError("--model is missing; `tactile-cell model train` makes one")
     gauge = gauge and [*dict.fromkeys(gauge)]
+    loaded, taught_with = load_model(model), read_grasps(model)
     taken: dict[str, list[Grasp]] = {}
     cell: RunningCell | None = None
     if dataset is not None:
-        loaded = load_model(model)
         recorded = list(read_grasps(dataset))
         if gauge:
             newest, n_all = max(recorded, key=lambda grasp: grasp.start_ms).zero, len(recorded)
@@ -141,7 +137,7 @@ def calibrate(
         raise ConfigError("the object is missing: add --gauge NAME, or name grasps of a shift")
     else:
         checked = cell_config(config, seed=seed)
-        loaded = load_model(model, pads_of(checked))
+        check_pads(loaded, pads_of(checked))
         gaugeable(loaded, *gauge)
         with running_cell(
             checked, "calibrate", out_folder, config_file=config, json_file=json_file
@@ -152,7 +148,7 @@ def calibrate(
             taken[label] = [g for g in cell.plugin.model.training_set if g.label == label]
         corrected = calibrate_model(loaded, taken)
         n_grasps = sum(map(len, taken.values()))
-    save_model(output, replace(loaded, recognizer=corrected), loaded.pads)
+    save_model(output, replace(loaded, recognizer=corrected), taught_with)
     values = {"model": output, "gauge": gauge, **corrected.grid.values, "n_grasps": n_grasps}
     line = (
         f"{n_grasps} grasps of {' and '.join(gauge) if gauge else 'a shift'}: "

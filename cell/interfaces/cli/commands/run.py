@@ -119,12 +119,7 @@ def result_lines(result: MainResult, true_sizes: Mapping[str, str]) -> Iterator[
     for group in [] if shapes is None else shapes["groups"]:
         sizes = f"; {group['text']}" if group["text"] else ""
         yield f"measured shape of {group['label']}: {group['kinds']}{sizes}"
-    files = {
-        "report": result.report,
-        "recording": result.recording,
-        "data set": result.dataset,
-        "model": result.model,
-    }
+    files = {"report": result.report, "recording": result.recording, "model": result.model}
     for name, path in files.items():
         if path is not None:
             yield f"{name + ':':<10} {path}"

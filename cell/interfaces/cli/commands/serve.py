@@ -78,10 +78,6 @@ _PAGE_PORT = 8080
 _FIRST_GRASPS = 10
 """Grasps taught of each object at the first start of the built-in cell: half as many as `run`."""
 
-TrainingSetOption = Annotated[
-    Path | None,
-    typer.Option("--training-set", help="Data set that trained the model [default: beside it]."),
-]
 SaveOption = Annotated[
     Path | None,
     typer.Option(
@@ -103,7 +99,6 @@ def _port(flag: str, interface: str, key: str) -> typer.models.OptionInfo:
 def serve(
     config: options.Config = None,
     model: options.FolderModel = None,
-    training_set: TrainingSetOption = None,
     save: SaveOption = None,
     listen: Annotated[
         str | None, typer.Option("--listen", help="Address to listen at [default: serve.listen].")
@@ -165,15 +160,15 @@ def serve(
         raise ConfigError(missing_note("serve", "page") or ALL_CLOSED)
     folder = None if out_folder is None else job_folder(out_folder, "serve")
     over = threading.Event()
-    if save is None or training_set is not None:
+    if save is None:
         model = model_of_folder(model)
-    if model is not None and model == save and training_set is None and not model.exists():
+    if model is not None and model == save and not model.exists():
         print_note(f"{model} does not exist: nothing is taught, and the first teaching writes it")
         model = None
     if save is None and config is not None:
         print_note("what is taught is in use until this program ends: --save FILE keeps it")
-    untaught = config is None and model is None and training_set is None
-    files: dict[str, Any] = {"training_set": training_set, "save": save, "folder": folder}
+    untaught = config is None and model is None
+    files: dict[str, Any] = {"save": save, "folder": folder}
     with ExitStack() as unused:
         if folder is not None:
             # A service manager starts a service many times: without a start no folder stays.
