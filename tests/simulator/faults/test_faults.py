@@ -108,8 +108,7 @@ def test_any_text_is_a_fault_or_refused(text) -> None:
     "name", [*VOCABULARY, "axis2.following_error", "axis2.silence", "axis2.fault", "axis2.reboot"]
 )
 def test_every_fault_is_injected_and_leaves_no_trace_once_cleared(request, name) -> None:
-    owner = name.partition(".")[0]
-    fixture = f"{owner}_cell" if owner in {"board", "uskin"} else "cell"
+    fixture = {"board": "board_cell", "uskin": "uskin_cell"}.get(name.partition(".")[0], "cell")
     cell: SimulatedCell = request.getfixturevalue(fixture)
     cell.place("ball")
     cell.clock.sleep(0.1)
