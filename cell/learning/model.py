@@ -87,7 +87,8 @@ _DATASET = "grasp_offsets"
 """Array of a data set, never of a model."""
 _PREFIX = "learnt."
 _PADS = "pads."
-"""Names of arrays in the archive: the header, and prefixes of recognizer and pads."""
+"""Names of arrays in the archive: the header, and prefixes of recognizer and pads; the grasps have
+the prefix `IN_MODEL`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

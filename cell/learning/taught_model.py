@@ -1,9 +1,9 @@
 """The taught model of a cell: its objects, its answers, and the drift that it follows."""
 
+import threading
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache, partial
 from pathlib import Path
 
 from cell.config.model import CellConfig
@@ -43,14 +43,13 @@ class TaughtModel:
 
     def __init__(self, config: CellConfig, path: Path | str | None = None) -> None:
         self.config = config
-        self.read_grasps: Callable[[], tuple[Grasp, ...]] = tuple
-        """Reads the grasps of the loaded model from its file, once. Raises DatasetError if it
-        cannot be read, and ModelError if another program wrote the file since it was loaded."""
         self.read_shape = shape_reader(config)
         """Reads shape and size from a grasp; None if the config has them off."""
         self._shapes: dict[str, tuple[Grasp, ShapeAnswer | None]] = {}
         self._n_trained = self._n_read = 0
-        self._training_set: tuple[Grasp, ...] | None = None
+        self._loaded: Path | None = None
+        self._training_set: tuple[Grasp, ...] = ()
+        self._reading = threading.Lock()
         self._trained: Trained | None = None
         self._drift_remarked = self._zero_remarked = False
         self._times_ns: dict[Path, int | None] = {}
@@ -59,7 +58,7 @@ class TaughtModel:
             self._times_ns[Path(path).resolve()] = _changed_ns(Path(path))
             model = load_model(path, pad_array(layout_from_config(config.tactile)))
             self._trained = model.with_caution(config.recognition.caution)
-            self.read_grasps = cache(partial(self._read_grasps, model.path))
+            self._loaded = model.path
 
     @property
     def training_set(self) -> tuple[Grasp, ...]:
@@ -67,12 +66,20 @@ class TaughtModel:
 
         Any thread may read it. Raises as `read_grasps`.
         """
-        return self.read_grasps() if self._training_set is None else self._training_set
+        self.read_grasps()
+        return self._training_set
 
-    def _read_grasps(self, path: Path) -> tuple[Grasp, ...]:
-        grasps = read_grasps(path)
-        self.check_unchanged(path)
-        return grasps
+    def read_grasps(self) -> None:
+        """Read the grasps of the loaded model from its file, once.
+
+        Raises DatasetError if it cannot be read, and ModelError if another program wrote the file
+        since it was loaded.
+        """
+        with self._reading:
+            if self._loaded is not None:
+                grasps = read_grasps(self._loaded)
+                self.check_unchanged(self._loaded)
+                self._loaded, self._training_set = None, grasps
 
     def check_taught(self) -> Trained:
         """Return the last training, with the followed drift. Raises CellStateError before it."""

@@ -615,7 +615,7 @@ def open_service(
     folder = state_folder(config, cell.get("folder"))
     try:
         plugin.model.read_grasps()  # a service outlives changes of the file
-    except CellError:
+    except BaseException:
         plugin.close()
         raise
     return Service(

@@ -7,7 +7,6 @@ current show the speed w without the encoder.
 
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from math import copysign, hypot, inf, pi
 from typing import NamedTuple
 
@@ -374,12 +373,13 @@ class Feedback:
         loaded
             Whether the pads may hold a part.
         """
-        strayed = dict(self.check.strayed)
-        with suppress(FeedbackImplausible, GripContradicted):
-            state = self._read(under_torque=under_torque, loaded=loaded)
-            if not any(motion.leapt_rad for motion in self._moves.values()):
-                return state
-        self.check.strayed = strayed
+        strayed, turns = dict(self.check.strayed), dict(self.turns)
+        try:
+            return self._read(under_torque=under_torque, loaded=loaded)
+        except (FeedbackImplausible, GripContradicted):
+            self.check.strayed, self.turns = strayed, turns
+            for motion in self._moves.values():
+                motion.withdraw()
         return self._read(under_torque=under_torque, loaded=loaded)
 
     def _read(self, *, under_torque: bool, loaded: bool) -> ServoFeedback:
@@ -411,6 +411,7 @@ class Feedback:
     def forget(self) -> None:
         """Compare the next feedback with no earlier one: servos were restarted or switched off."""
         self.turns.clear()
+        self._temperatures_c.clear()
         for servo_id in self._ids:
             self._ticks[servo_id].forget()
             self._moves[servo_id].forget()

@@ -12,7 +12,6 @@ from math import sqrt
 import numpy as np
 
 from gripper.dynamixel.control_table import TICK_MODULO
-from gripper.dynamixel.drive import DriveCharacteristic
 from gripper.dynamixel.models import ServoModel
 
 _WINDOWS_MS = (80, 40, 20)
@@ -48,24 +47,27 @@ class ServoMotion:
     change by ``dv`` rad/s shortens the line once it has moved the servo by 1.5 counts from where
     the earlier positions lead: after 2.3e-3 / ``dv`` s. The shortest line is 10 ms late. Below 200
     Hz it has too few positions. There a parabola shows the speed at the next reading while the
-    longest line does not hold, with a noise of 0.13 rad/s. A leap that the stall current cannot
-    make is no speed; where another one follows on the same side, the servo was stopped.
+    longest line does not hold, with a noise of 0.13 rad/s.
     """
 
     def __init__(self, model: ServoModel) -> None:
         self._unsure_rad = still_rad(model)
-        catalogue = DriveCharacteristic.catalogue(model)
-        self._most_rad_ms2 = 1e-6 * model.stall_current_a / catalogue.inertia_a_s2(model)
         self._tick_ms = 0
         self._positions: deque[tuple[int, float]] = deque()
-        self.leapt_rad = 0.0
-        """Leap of the newest position in rad that the stall current cannot make; else 0."""
         self.next_rad_s = 0.0
         """Speed in rad/s, below 200 Hz at the next reading if the acceleration lasts."""
 
     def forget(self) -> None:
         """Compare the next position with no earlier one."""
         self._positions.clear()
+
+    def withdraw(self) -> None:
+        """Remove the newest position: it was wrong."""
+        newest_ms, _ = self._positions.pop()
+        if newest_ms == 0:
+            self._positions.clear()
+        else:
+            self._tick_ms -= newest_ms - self._positions[-1][0]
 
     def speed_rad_s(self, tick_ms: int, angle_rad: float) -> float:
         """Add a position and return the speed in rad/s; before the first one the servo stood.
@@ -83,18 +85,6 @@ class ServoMotion:
         now_ms = positions[-1][0] + passed_ms
         if passed_ms == 0:
             positions.pop()
-        if len(positions) > 1:
-            (before_ms, before_rad), (last_ms, last_rad) = positions[-2], positions[-1]
-            ahead_ms = now_ms - last_ms
-            leap_rad = angle_rad - last_rad
-            leap_rad -= (last_rad - before_rad) * ahead_ms / (last_ms - before_ms)
-            possible_rad = 2.0 * self._unsure_rad + self._most_rad_ms2 * ahead_ms**2
-            before_rad, self.leapt_rad = self.leapt_rad, leap_rad
-            if abs(leap_rad) <= possible_rad:
-                self.leapt_rad = 0.0
-            elif leap_rad * before_rad <= 0.0:
-                for index, (t_ms, rad) in enumerate(positions):
-                    positions[index] = t_ms, rad + leap_rad
         positions.append((now_ms, angle_rad))
         while now_ms - positions[0][0] > _WINDOWS_MS[0]:
             positions.popleft()

@@ -89,8 +89,11 @@ def test_lost_answers_leave_a_speed_and_a_pause_does_not() -> None:
     assert speeds(paused)[20] == 0.0
 
 
-def test_a_leap_is_no_speed_but_a_sudden_stop_shows() -> None:
-    for last in (21, 26):
-        leaping = [rad + 0.03 * (20 <= index < last) for index, rad in enumerate(ramp(0.4))]
-        assert speeds(leaping)[16:] == pytest.approx([0.4] * 44, abs=0.1)
-    assert speeds(ramp(5.0, 0.0))[70:] == pytest.approx([0.0] * 50, abs=0.1)
+@pytest.mark.parametrize("later_ms", [0, 1])
+def test_a_wrong_position_that_was_withdrawn_changes_no_speed(later_ms) -> None:
+    motion, measured = ServoMotion(XM430_W350), []
+    for tick_ms in range(100, 400, PERIOD_MS):
+        motion.speed_rad_s(tick_ms, 4e-4 * tick_ms + 0.1)
+        motion.withdraw()
+        measured.append(motion.speed_rad_s(tick_ms + later_ms, 4e-4 * (tick_ms + later_ms)))
+    assert measured[16:] == pytest.approx([0.4] * 44)
