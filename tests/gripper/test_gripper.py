@@ -267,12 +267,8 @@ def test_commands_out_of_turn_are_refused(started) -> None:
     started.gripper.open(observer=reenter)
     started.gripper.grasp(RAMP)
     gripper = started.gripper
-    for command, *given in (
-        (gripper.open,),
-        (gripper.measure_friction,),
-        (gripper.grasp, RAMP),
-        (gripper.press_pads_together, RAMP),
-    ):
+    empty = ((gripper.open,), (gripper.measure_friction,), (gripper.press_pads_together, RAMP))
+    for command, *given in (*empty, (gripper.grasp, RAMP)):
         with pytest.raises(GripperStateError, match=f"{command.__name__} .*release the part first"):
             command(*given)
     with pytest.raises(LimitExceeded, match="duration_s"):
