@@ -246,15 +246,16 @@ def test_closed_fingers_that_feel_a_little_name_a_small_part(make_started) -> No
     assert cell.torques == [1, 1]
 
 
-def test_a_finger_that_pushes_alone_freezes_both(cell) -> None:
+@pytest.mark.parametrize("other_n", [0.2, 9.0])
+def test_uneven_pads_open_no_finger_and_freeze_both(cell, other_n: float) -> None:
     cell.hold_part(RAMP)
-    measure, begun_s = cell.sensor.measure, cell.clock.monotonic()
-    cell.sensor.measure = lambda now_s, force_n: measure(now_s, (force_n[0], 0.2))
+    measure, begun_s, cell.least_n = cell.sensor.measure, cell.clock.monotonic(), cell.force_n
+    cell.sensor.measure = lambda now_s, force_n: measure(now_s, (force_n[0], other_n))
     with pytest.raises(ForceImbalance, match="both are frozen"):
-        cell.gripper.hold(2.0)
+        cell.gripper.squeeze(ForceRamp.linear(8.0, rate_n_s=3.0))
     assert cell.clock.monotonic() - begun_s < 0.5
     assert cell.gripper.phase is GripperPhase.HELD_AFTER_FAULT
-    assert cell.force_n > 3.0
+    assert cell.least_n > 3.0
 
 
 LAG_S, FRAME_S = 0.02, 0.02
