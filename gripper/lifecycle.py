@@ -45,6 +45,7 @@ class Command(NamedTuple):
 _EMPTY = frozenset({GripperPhase.OFF, GripperPhase.IDLE})
 _HELD = frozenset({GripperPhase.HOLDING})
 COMMANDS: Mapping[str, Command] = {
+    "start": Command(frozenset(GripperPhase), GripperPhase.OFF),
     "open": Command(_EMPTY, GripperPhase.OPENING),
     "measure_friction": Command(_EMPTY, GripperPhase.OPENING),
     "grasp": Command(_EMPTY, GripperPhase.APPROACHING),
@@ -55,7 +56,7 @@ COMMANDS: Mapping[str, Command] = {
     "squeeze": Command(_HELD, GripperPhase.RAMPING),
     "release": Command(frozenset(GripperPhase), GripperPhase.RELEASING),
 }
-"""Commands with a phase, by name. Each one ends in the phase of `Lifecycle.rest`."""
+"""Commands by name. Each one ends in the phase of `Lifecycle.rest`."""
 
 
 class FingersLeft(StrEnum):
@@ -149,7 +150,7 @@ class Lifecycle:
                 f"{command} is not possible while a fault is latched ({self.fault}): call "
                 f"clear_fault first"
             )
-        if command in COMMANDS and self.phase not in COMMANDS[command].phases:
+        if self.phase not in COMMANDS[command].phases:
             hint = ": release the part first" if self.part_possible else ""
             raise errors.GripperStateError(
                 f"{command} is not possible in the state {self.phase.name}{hint}"
